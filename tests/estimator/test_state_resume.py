@@ -118,6 +118,53 @@ def test_brakes_cool_to_the_air_that_was_saved(
     assert estimator.history_known
 
 
+@pytest.mark.parametrize(
+    ("parked_us", "proven", "air_k"),
+    [
+        (2 * 3_600_000_000, True, 294.0),
+        (2 * 3_600_000_000, False, 0.0),
+        (None, True, 0.0),
+    ],
+)
+def test_the_air_of_a_clear_evening_is_expected_after_a_known_time(
+    config: Config,
+    document: dict[str, Any],
+    parked_us: int | None,
+    proven: bool,  # noqa: FBT001
+    air_k: float,
+) -> None:
+    """3 K/h lower; after an unknown time any air may be."""
+    assert document["air_k"] <= 0.0  # none was read
+    estimator = Estimator(config, PRESENT)
+    now_us = SAVED_US + (parked_us or 0)
+    state = document | {"air_k": 300.0}
+    resume_state(estimator, state, parked_us, now_us, proven=proven)
+
+    assert estimator.samples.air_k == pytest.approx(air_k)
+
+
+@pytest.mark.parametrize(
+    ("initial_k", "history_known", "air_k"),
+    [
+        (290.0, True, 290.0),
+        (290.0, False, 0.0),
+        (400.0, True, 0.0),  # hot brakes
+        (None, True, 0.0),  # the configured air is no measurement
+    ],
+)
+def test_a_known_start_tells_the_air(
+    config: Config,
+    initial_k: float | None,
+    history_known: bool,  # noqa: FBT001
+    air_k: float,
+) -> None:
+    estimator = Estimator(
+        config, PRESENT, history_known=history_known, initial_k=initial_k
+    )
+    assert estimator.samples.air_k == air_k
+    assert export_state(estimator)["air_k"] == air_k
+
+
 @pytest.mark.parametrize("name", ["another", "zz"])
 def test_the_state_of_another_vehicle_is_refused(
     config: Config, document: dict[str, Any], name: str

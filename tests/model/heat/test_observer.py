@@ -610,6 +610,19 @@ def test_it_does_not_learn_in(
     assert untaught(run)
 
 
+@pytest.mark.parametrize("form", [load_kernel(), None], ids=type)
+def test_a_car_whose_gear_is_not_known_does_not_shift(
+    fused: Callable[..., Run], form: Kernel | None
+) -> None:
+    """It is calm from its first whole step on."""
+    samples = Driver(Truth(), speed=10.0).drive(1.0, 0.5)
+    run = fused(form).feed([s for s in samples if s[1] != "gear"])
+
+    observer = run.state.memory().observer
+    assert observer.last_gear == 0.0
+    assert observer.calm_s == pytest.approx(0.95)
+
+
 def test_it_does_not_learn_from_gear_changes(
     kernel: Kernel | None, fused: Callable[..., Run]
 ) -> None:

@@ -747,6 +747,20 @@ def test_air_that_falls_faster_than_weather(
         assert run.state.last_air_k == 297.0
 
 
+def test_air_is_any_after_half_a_day(
+    kernel: Kernel | None, start: Callable[..., Run], make_car: Any
+) -> None:
+    drive = Drive().hold(2.0, ambient_temperature=300.0)
+    drive.at_us += 13 * 3_600_000_000
+    drive.hold(20.0, ambient_temperature=280.0)
+    run = start(make_car(), kernel, "ambient_temperature").feed(drive.samples)
+
+    assert run.flag("settled")[-1] is False
+    assert any(run.flag("settled"))
+    assert not any(run.flag("ambient_suspect"))
+    assert run.state.air_k == 280.0
+
+
 def test_air_without_a_reading_falls_as_in_a_clear_night(
     kernel: Kernel | None, start: Callable[..., Run], make_car: Any
 ) -> None:
