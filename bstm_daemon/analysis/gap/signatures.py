@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import STEP as STEP_OF_CHANGE
 from bstm_daemon.analysis.gap.changes import (
     either_sign,
     is_change,
@@ -296,9 +297,11 @@ def _terms_k(
     strengths: tuple[float, ...] = (),
     form: Mapping[str, float] | None = None,
 ) -> Column | None:
+    trial = comparison.trials.get(name)
+    scaled = not strengths and trial is not None and trial.effect is not None
     strengths = strengths or _strengths(name)
     changes = []
-    for strength in strengths:
+    for strength in strengths[-1:] if scaled else strengths:
         x, effects = comparison.placed(comparison.start, {name: strength})
         if form:
             parameters = {**form, "strength": strength}
@@ -312,6 +315,11 @@ def _terms_k(
     if max(float(np.abs(one).max()) for one in changes) < SILENT_K:
         return None
     a = np.array(strengths)
+    if scaled:
+        # a pass for each would double the time of the search: the heat is
+        # nearly linear in the effect's strength, of which a is the logarithm
+        factor = np.expm1(STEP_OF_CHANGE * a)
+        changes = [changes[0] * one / factor[-1] for one in factor]
     matrix = np.column_stack((a, a**2))[:, : len(a)]
     terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
     curved = terms[1] if len(a) > 1 else 0.0 * terms[0]

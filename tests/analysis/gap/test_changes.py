@@ -24,6 +24,7 @@ from bstm_daemon.analysis.gap.signatures import (
     candidates,
     sensed,
     sharpened,
+    signature_of,
 )
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.matching.learned import entry
@@ -44,7 +45,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bstm_daemon.analysis.gap.recording import Recording
-    from bstm_daemon.config.sections import Config
+    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.config.sections import Config, EffectConfig
 
 AMONG = (
     "gap_conduction", "hub_conduction", "disc_radiation_driving",
@@ -128,6 +130,33 @@ def test_an_effect_on_the_heat_that_the_model_has_can_change(
     assert not trials(off, ())
     assert "friction_fade" in candidates(off)
     assert "friction_fade" not in candidates(fading)
+
+
+def test_one_pass_tells_what_a_strength_on_the_heat_changes(
+    config: Config, matched: Target, made: Callable[..., Recording]
+) -> None:
+    """More and less of an effect that the heat is linear in."""
+    fading = with_effects(config, effect_entries({"friction_fade": 0.7}))
+    name = "change.effect.friction_fade.strength"
+    comparison = compare(matched, [made()])
+    comparison.trials = trials(fading, comparison.keys)
+    base = np.zeros(int(comparison.edges[-1]))
+    column = np.linspace(-1.0, 1.0, len(base))
+    seen = []
+
+    def residuals_k(_: object, effects: list[EffectConfig]) -> Column:
+        seen.append(effects[0].parameters["strength"])
+        return ((seen[-1] - 0.7) * column)[:, None]
+
+    comparison.residuals_k = residuals_k  # type: ignore[assignment]
+
+    signature = signature_of(comparison, name, base)
+
+    assert signature is not None
+    assert len(seen) == 1
+    for a in (-0.5, 0.5):
+        change_k = comparison.whiten(0.7 * np.expm1(STEP * a) * column)
+        assert signature.at(a) == pytest.approx(change_k)
 
 
 def test_every_value_that_can_change_has_its_words() -> None:
