@@ -34,6 +34,9 @@ SHORTEST_GAP_S: Final = 1.0
 SUMMARY_NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
 """Nodes whose peaks a summary holds."""
 
+RISING_K: Final = 1.0
+"""Least rise over a log that is worth a word at its end."""
+
 VALIDITY_NAMES: Final = ("valid", "degraded", "invalid")
 """Names of the codes 0, 1 and 2 of a validity column."""
 
@@ -45,7 +48,8 @@ class Peak:
     ``after_stop_s`` counts from the last stop before the peak; where none
     came before, from the first one after it, negative. None without a stop.
     ``validity`` is the code of the estimate at the peak. ``at_end``: it is
-    the last row, so the real peak comes after the log.
+    the last row and :data:`RISING_K` above the first, so the real peak comes
+    after the log.
     """
 
     temperature_c: float
@@ -223,6 +227,7 @@ class _Highest:
 
     def __init__(self) -> None:
         self.value: float | None = None
+        self.first = 0.0
         self.row = 0
         self.time_s = 0.0
         self.validity = 0
@@ -239,6 +244,8 @@ class _Highest:
         found = float(known[row])
         if found <= (-np.inf if self.value is None else self.value):
             return
+        if self.value is None:
+            self.first = float(known[np.isfinite(known).argmax()])
         self.value = found
         self.row = first_row + row
         self.time_s = float(elapsed_s[row])
@@ -255,7 +262,9 @@ class _Highest:
             time_s=self.time_s,
             after_stop_s=self.time_s - stop_s[0] if stop_s else None,
             validity=self.validity,
-            at_end=0 < self.row == rows - 1,
+            at_end=(
+                self.row == rows - 1 and self.value > self.first + RISING_K
+            ),
         )
 
 

@@ -393,3 +393,19 @@ def test_short_drive_that_ends_too_early() -> None:
     assert "1:29" in text
     assert "FL: validity not recorded" in text
     assert "FL: fluid still rising at the end of the log" in text
+
+
+@pytest.mark.parametrize(("rise_k", "rising"), [(0.9, False), (1.1, True)])
+def test_what_hardly_rises_is_not_called_rising(
+    rise_k: float, *, rising: bool
+) -> None:
+    elapsed_s = np.arange(90.0)
+    columns = {
+        "time_s": elapsed_s,
+        "FL.fluid_c": 20.0 + rise_k * elapsed_s / elapsed_s[-1],
+    }
+
+    summary = summarize(Results(columns, ("FL",), ("FL",)))
+
+    assert summary.corners[0].peaks["fluid"].at_end is rising
+    assert ("still rising" in summary_table(summary)) is rising
