@@ -21,6 +21,7 @@ from bstm_daemon.analysis.matching.tunables import (
     DRAG,
     EFFECT,
     S_SPEEDS_MS,
+    SIDES,
     TUNABLES,
     Target,
     usable,
@@ -36,7 +37,7 @@ from bstm_daemon.model.effects.catalogue import effect_class
 TOLERANCE: Final = 1e-9
 """Largest error of a response, relative, alone and with others."""
 
-LEFT_OUT: Final = (DRAG, *S_SPEEDS_MS, *BEYOND_MS)
+LEFT_OUT: Final = (DRAG, *S_SPEEDS_MS, *BEYOND_MS, *SIDES)
 """No value of the corner; the S-table as a whole has a factor."""
 
 COMBINATIONS: Final = 3

@@ -8,18 +8,16 @@ docs/real-data.md has the figures.
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.baseline import baselines
 from bstm_daemon.analysis.matching.drives import read_drive
-from bstm_daemon.analysis.matching.problem import ALIKE_K
 from bstm_daemon.analysis.matching.refine import errors_of, rms_of
 from bstm_daemon.analysis.matching.tunables import Target
-from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.cli.main import main
 from bstm_daemon.cli.vehicle import load_vehicle
 
@@ -65,12 +63,9 @@ def test_no_worse_than_a_disc_of_one_node(
     fitted: str,
     other: str,
 ) -> None:
-    """Both discs have one set of values, each node alone its own.
+    """No disc is worse, in the fit or on what was left out.
 
-    On what was left out no disc is worse. In the fit that is asked where the
-    discs agree: in the first minute and a half of Hungary they are up to
-    200 K apart, which no values of both explain. Nothing is named, on what
-    was fitted or not.
+    Nothing is named on either.
     """
     seen, unseen = F1 / fitted, F1 / other
     if not other:
@@ -88,37 +83,28 @@ def test_no_worse_than_a_disc_of_one_node(
         assert main(["gap", "run", f"{log}", "-c", f"{matched}"]) == 0
         assert "no missing effect visible" in capsys.readouterr().out
 
-    assert main(["replay", f"{unseen}", "-c", f"{matched}"]) == 0
+    cold = ["--start", "cold", "--no-forecast"]
+    assert main(["replay", f"{unseen}", "-c", f"{matched}", *cold]) == 0
     told = capsys.readouterr().out
     assert "unverified: nothing checks the fluid" in told
-    assert "valid 0 %" in told
+    assert re.search("(?m)^FL FR.*: 100 % degraded$", told)
 
     config, signal_map = load_vehicle(matched)
     drives = [read_drive(log, config, signal_map) for log in (seen, unseen)]
-    simple, both = baselines(drives[:1]), []
-    at_k = [
-        drives[0].measured[corner]["disc"].at(drives[0].time_s)
-        for corner in ("FL", "FR")
-    ]
-    alike = np.ptp(at_k, axis=0) < ALIKE_K
-    assert np.mean(alike) > 0.7
+    simple = baselines(drives[:1])
     for corner in ("FL", "FR"):
         target = Target(config, (corner,))
         fit_k, held_k = (
             rms_of(errors_of(target, drive))["disc"] for drive in drives
         )
-        ((error_k, _),) = errors_of(target, drives[0])["disc"]
         of_one_node = simple[corner][0]
         one_node_k = of_one_node.rms_on(drives[1:])
         print(  # noqa: T201  (the figures of docs/real-data.md)
-            f"{fitted} {other} {corner}: fit {fit_k:.1f} K, "
-            f"{rms(error_k[alike]):.1f} K where alike, left out "
+            f"{fitted} {other} {corner}: fit {fit_k:.1f} K, left out "
             f"{held_k:.1f} K; one node {of_one_node.rms_k:.1f}, "
             f"{one_node_k:.1f} K"
         )
+        assert fit_k < of_one_node.rms_k
         assert held_k < one_node_k
         if other:
             assert held_k < MOST_HELD_K[fitted, other]
-        both.append((rms(error_k[alike]), of_one_node.rms_k))
-    fit_k, simple_k = np.sqrt(np.mean(np.square(both), 0))
-    assert fit_k < simple_k

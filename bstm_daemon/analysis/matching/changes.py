@@ -35,7 +35,8 @@ def changes_of(
                 notes[key] = f"{origin}, sd {100.0 * sd:.2g} %"
         changes += value_changes(settings, notes, config, match.corners)
     changes += _accuracy(matches, origin)
-    return changes
+    # what is the car's own, each of its matches says
+    return list(dict.fromkeys(changes))
 
 
 def learned(match: Match) -> MatchedConfig:

@@ -42,6 +42,7 @@ from bstm_daemon.analysis.matching.tunables import (
 from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
+from bstm_daemon.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -145,6 +146,21 @@ def guesses_of(path: Path) -> frozenset[str]:
     if not given(*FILTER.split(".")):
         found.add(FILTER)
     return frozenset(found)
+
+
+def check_mass(path: Path) -> None:
+    """Check that the car of the file *path* was weighed.
+
+    Raises:
+        UsageError: its mass is a guess, and what forces show depends on it.
+    """
+    if CAR_MASS in guesses_of(path):
+        msg = (
+            f"{path}: {CAR_MASS} is a typical value, and what forces show "
+            "depends on it: weigh the car and take the word out of the line, "
+            "or give --anyway"
+        )
+        raise UsageError(msg)
 
 
 def from_motion(config: Config) -> bool:
@@ -343,7 +359,7 @@ class _Discs:
         self.problem = Problem(target, drives, keys, runs, self.terms, None)
 
     def __call__(self, points: Column) -> Column:
-        apart = np.concatenate(self.problem.counted_k(points)).T / WHITE_K
+        apart = np.concatenate(self.problem.residuals_k(points)).T / WHITE_K
         prior = (points - self.problem.start) / self.problem.prior
         return np.concatenate((apart, prior), axis=1)
 
@@ -356,13 +372,13 @@ class _Discs:
         x = starts[np.argmin(costs)]
         for _ in range(2):
             x = minimise(self, x, problem.lower, problem.upper).x
-        left = np.concatenate(problem.counted_k(x[None]))
+        left = np.concatenate(problem.residuals_k(x[None]))
         return rms(left[:, 0]), problem.values(x)
 
     def noise(self, values: Mapping[str, float]) -> dict[str, SensorNoise]:
         """Return white noise of what is left, for points of one second."""
         x = np.log([[values[key] for key in self.problem.keys]])
-        left_k = rms(np.concatenate(self.problem.counted_k(x))[:, 0])
+        left_k = rms(np.concatenate(self.problem.residuals_k(x))[:, 0])
         return {
             "disc": SensorNoise(COHERENT * left_k, 0.0, 0.0, 0.0, 0.0, 0.0)
         }

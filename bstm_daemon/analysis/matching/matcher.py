@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import log, nan
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.baseline import baselines, bearable_k
+from bstm_daemon.analysis.matching.baseline import baselines
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
     FILTER,
@@ -24,10 +24,9 @@ from bstm_daemon.analysis.matching.coarse import (
     exponent_of,
     search,
 )
-from bstm_daemon.analysis.matching.identifiability import KNOWN
+from bstm_daemon.analysis.matching.doubts import doubts
 from bstm_daemon.analysis.matching.learned import settings_of
 from bstm_daemon.analysis.matching.phases import HARD_MS2, hard_stops
-from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import (
     ROUNDS,
     Accuracy,
@@ -52,6 +51,7 @@ from bstm_daemon.analysis.matching.tunables import (
     COOLING,
     DRAG,
     NODES_MS,
+    SIDES,
     TABLE_4_1,
     Target,
     measured_targets,
@@ -62,8 +62,9 @@ from bstm_daemon.analysis.matching.tunables import (
 from bstm_daemon.analysis.statistics.series import rms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from bstm_daemon.analysis.matching.baseline import Baseline
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.analysis.matching.refine import Errors
     from bstm_daemon.analysis.statistics.whitening import SensorNoise
@@ -71,18 +72,6 @@ if TYPE_CHECKING:
 
 MUCH_LESS: Final = 0.8
 """A form is worth a word where it leaves so much less of the error."""
-
-FAR: Final = 3.0
-"""Deviations of its prior that a value moves only for what is missing."""
-
-FAR_ABOVE: Final = 2.0
-ABOVE_K: Final = 6.0
-ABOVE_SHARE: Final = 0.03
-"""An error beside the fit's, times, and plus the larger of kelvins and a share
-of the rise, that is another drive's own."""
-
-RISE_SHARE: Final = 0.05
-"""Of its rise above the air, an error in the fit that a lump may have."""
 
 CHOSEN: Final[dict[str, Callable[[Target], float]]] = {
     CAPACITY: exponent_of,
@@ -164,6 +153,9 @@ def match_drives(  # noqa: PLR0913
 ) -> list[Match]:
     """Match *config* to *readings*, all corners with thermocouples.
 
+    Those that are alike together; where only discs are measured, with values
+    of each side's own, and a match for each corner.
+
     Args:
         config: the vehicle.
         readings: what was recorded, first as configured.
@@ -179,13 +171,14 @@ def match_drives(  # noqa: PLR0913
     targets = measured_targets(
         config, readings[0].drives, each=each, guessed=guessed
     )
-    return over_targets(
+    found = over_targets(
         targets,
         lambda target, show: _with_additions(
             target, readings, only, show, beside=beside and not only
         ),
         progress,
     )
+    return [match for of_target in found for match in of_target]
 
 
 def _other_form(
@@ -231,15 +224,16 @@ def _with_additions(
     show: Callable[[float], None],
     *,
     beside: bool,
-) -> Match:
+) -> list[Match]:
     """Match *target*, and once more with what a doubtful match may lack."""
-    plain = _match(
+    found = _match(
         *(target, readings, only, lambda one: show(0.5 * one)), beside=beside
     )
+    plain = found[0]
     trial = with_contact(target, plain.drives)
     if only or not plain.verdict or trial is None:
-        return plain
-    more = _match(
+        return found
+    (more,) = _match(
         *(trial, readings, only, lambda one: show(0.5 + 0.5 * one)),
         beside=False,
     )
@@ -251,9 +245,9 @@ def _with_additions(
     )
     if left > KEPT:
         note = f"{what}: not added"
-        return replace(plain, remarks=(*plain.remarks, note))
-    found = more.in_place_of(plain)
-    return replace(found, remarks=(*more.remarks, f"{what}: added"))
+        return [replace(plain, remarks=(*plain.remarks, note))]
+    note = f"{what}: added"
+    return [replace(more.in_place_of(plain), remarks=(*more.remarks, note))]
 
 
 def _match(
@@ -263,7 +257,7 @@ def _match(
     show: Callable[[float], None],
     *,
     beside: bool,
-) -> Match:
+) -> list[Match]:
     found = search(target, readings)
     drives = found.reading.drives
     keys, remarks = _keys(found.target, drives, only)
@@ -277,44 +271,58 @@ def _match(
     joint = _refined(found, keys, start, lambda one: show(0.3 + 0.3 * one))
     thesis = None
     if beside and not _discs_only(keys):
-        own, _ = usable(found.target, TABLE_4_1)
         thesis = refine(
-            *(found.target, drives, own),
+            *(found.target, drives, usable(found.target, TABLE_4_1)[0]),
             lambda share: show(0.6 + 0.2 * share),
             start=start,
         )
     after = found.target.changed(joint.values)
-    errors = _errors(after, drives)
-    accuracy = _left_out(
-        *(target, readings, joint, only, errors),
-        whole=after,
-        show=lambda share: show(0.8 + 0.2 * share),
+    folds = _folds(
+        *(target, readings, joint, only),
+        lambda share: show(0.8 + 0.2 * share),
     )
     remarks += found.remarks
     if not only:
         of_form = _other_form(found.target, drives, joint)
         remarks += [of_form, _no_hard_stop(target, drives)]
-    return Match(
-        target.corners,
-        target,
-        found.target,
-        after,
-        drives,
-        tuple(stages),
-        joint,
-        thesis,
-        accuracy,
-        tuple(remark for remark in remarks if remark),
-        tuple(_doubts(joint, accuracy, errors)),
-        {
-            node: fitted([(*part, white_k(joint, node)) for part in parts])
-            for node, parts in errors.items()
-        },
-    )
+    of_sides = [target.corners]
+    if SIDES.keys() & set(keys):
+        of_sides = [(corner,) for corner in target.corners]
+    matches = []
+    for corners in of_sides:
+        own = replace(after, corners=corners)
+        errors = _errors(own, drives)
+        fit = joint
+        if corners != target.corners:
+            fit = joint.of_side(corners[0], rms_of(errors))
+        before = replace(target, corners=corners)
+        accuracy = _accuracy(before, own, fit, folds, errors)
+        matches.append(
+            Match(
+                corners,
+                before,
+                replace(found.target, corners=corners),
+                own,
+                drives,
+                tuple(stages),
+                fit,
+                thesis,
+                accuracy,
+                tuple(remark for remark in remarks if remark),
+                tuple(doubts(joint, accuracy, errors)),
+                {
+                    node: fitted(
+                        [(*part, white_k(joint, node)) for part in parts]
+                    )
+                    for node, parts in errors.items()
+                },
+            )
+        )
+    return matches
 
 
 def _discs_only(keys: Sequence[str]) -> bool:
-    return OF_DISC | {DRAG} >= set(keys)
+    return OF_DISC | {DRAG, *SIDES} >= set(keys)
 
 
 def _refined(
@@ -353,6 +361,9 @@ def _keys(
     wanted = COOLING if only == "cooling" else refined_keys(target)
     wanted, why = driven_keys(target, drives, wanted)
     keys, remarks = usable(target, wanted)
+    sides = {corner[-1] for corner in target.corners}
+    if not only and _discs_only(keys) and len(sides) > 1:
+        keys += SIDES
     return keys, [*remarks, *why]
 
 
@@ -365,119 +376,99 @@ def _errors(target: Target, drives: Sequence[Drive]) -> Errors:
     return found
 
 
-def _left_out(  # noqa: PLR0913
+class _Fold(NamedTuple):
+    """A fit without a drive or a part.
+
+    ``left`` is what was left out as the fit reads it, ``plain`` as it was
+    configured; ``simple`` are the simple discs fitted to the same.
+    """
+
+    fit: Target
+    left: Drive
+    plain: Drive
+    simple: Mapping[str, list[Baseline]]
+
+
+def _folds(
     target: Target,
     readings: Sequence[Reading],
     joint: Refinement,
     only: str,
-    fit_errors: Errors,
-    *,
-    whole: Target,
     show: Callable[[float], None],
-) -> Accuracy:
-    """Return what is left on drives, or a part, that a fit has not seen."""
+) -> list[_Fold]:
+    """Return fits that leave out each drive, or a part, in turn."""
+    found = []
     folds = folds_of(readings[0].drives)
-    before: Errors = {}
-    after: Errors = {}
-    names, simple_k, shifts, each_k, peaks_k = [], [], [], [], []
     for number, (pieces, left) in enumerate(folds):
-        found = search(target, [one.of(pieces) for one in readings])
-        drives = found.reading.drives
-        keys = _keys(found.target, drives, only)[0]
-        start = {} if found.noise else joint.values
-        fit = _refined(found, keys, start, None, joint.noise)
+        start = search(target, [one.of(pieces) for one in readings])
+        keys = _keys(start.target, start.reading.drives, only)[0]
+        first = {} if start.noise else joint.values
+        fit = _refined(start, keys, first, None, joint.noise)
         unseen = next(
-            one for one in readings if one.filter_s == found.reading.filter_s
+            one for one in readings if one.filter_s == start.reading.filter_s
         )
-        (drive,) = unseen.of([left]).drives
-        (plain,) = readings[0].of([left]).drives
-        names.append(plain.name)
-        without = found.target.changed(fit.values)
+        found.append(
+            _Fold(
+                start.target.changed(fit.values),
+                unseen.of([left]).drives[0],
+                readings[0].of([left]).drives[0],
+                baselines(readings[0].of(pieces).drives),
+            )
+        )
+        show((number + 1) / len(folds))
+    return found
+
+
+def _accuracy(
+    before: Target,
+    whole: Target,
+    fit: Refinement,
+    folds: Sequence[_Fold],
+    errors: Errors,
+) -> Accuracy:
+    """Return what is left on drives, or a part, that a fit has not seen.
+
+    *before* and *whole* as configured and fitted to all, with *errors*.
+    """
+    corners = whole.corners
+    plain: Errors = {}
+    after: Errors = {}
+    simple_k, shifts, each_k, peaks_k = [], [], [], []
+    for fold in folds:
+        without = replace(fold.fit, corners=corners)
         shifts.append(
-            [log(without.setting(k) / whole.setting(k)) for k in joint.keys]
+            [log(without.setting(k) / whole.setting(k)) for k in fit.keys]
         )
-        simple = baselines(readings[0].of(pieces).drives)
         simple_k += [
-            simple[corner][0].rms_on([plain])
-            for corner in target.corners
-            if corner in simple
+            fold.simple[corner][0].rms_on([fold.plain])
+            for corner in corners
+            if corner in fold.simple
         ]
-        own = _errors(without, [drive])
+        own = _errors(without, [fold.left])
         each_k.append(rms_of(own))
         peaks_k.append(peaks_of(own))
-        for errors, of_drive in (
-            (before, _errors(target, [plain])),
+        for all_of, these in (
+            (plain, _errors(before, [fold.plain])),
             (after, own),
         ):
-            for node, parts in of_drive.items():
-                errors.setdefault(node, []).extend(parts)
-        show((number + 1) / len(folds))
+            for node, parts in these.items():
+                all_of.setdefault(node, []).extend(parts)
     seen = {node: list(parts) for node, parts in after.items()}
     if len(folds) < 2:
         # a last third alone may hold a soak and no stop
-        for node, parts in fit_errors.items():
+        for node, parts in errors.items():
             seen.setdefault(node, []).extend(parts)
     return Accuracy(
         {
-            node: fitted([(*part, white_k(joint, node)) for part in parts])
+            node: fitted([(*part, white_k(fit, node)) for part in parts])
             for node, parts in seen.items()
         },
         len(folds) if len(folds) > 1 else 0,
-        " and ".join(names),
-        rms_of(before),
+        " and ".join(fold.plain.name for fold in folds),
+        rms_of(plain),
         rms_of(after),
         rms(np.array(simple_k)) if simple_k else nan,
         np.array(shifts),
         tuple(each_k),
         tuple(peaks_k),
     )
-
-
-def _doubts(
-    joint: Refinement,
-    accuracy: Accuracy,
-    errors: Errors,
-) -> Iterator[str]:
-    """Say why a part of the model may be missing, nothing where it is not."""
-    known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior
-    for i, key in enumerate(joint.keys):
-        moved = log(joint.values[key] / joint.start[key]) / joint.prior[i]
-        # what the drives say nothing of may lie at a bound by chance
-        if key in joint.at_bound and known[i]:
-            yield f"{key} at its bound {joint.values[key]:.3g}"
-        elif abs(moved) > FAR:
-            yield (
-                f"{key} from {joint.start[key]:.3g} to "
-                f"{joint.values[key]:.3g}, {abs(moved):.1f} times what such "
-                "brakes differ by"
-            )
-    fit_k = rms_of(errors)
-    for node, parts in errors.items():
-        rise_k = rms(np.concatenate([rise for _, rise in parts]))
-        usual_k = FAR * FIRST.get(node, OTHER).drift_k
-        most_k = max(usual_k, RISE_SHARE * rise_k)
-        if fit_k[node] > most_k:
-            yield (
-                f"{node} {fit_k[node]:.1f} K in the fit, where sensor and "
-                f"lump explain {most_k:.1f} K"
-            )
-        left_k = accuracy.rms_k.get(node, 0.0)
-        before_k = accuracy.before_k.get(node, left_k)
-        if left_k > before_k + usual_k:
-            yield (
-                f"{node} {left_k:.1f} K on what was left out, {before_k:.1f} "
-                "K as configured"
-            )
-        if left_k > FAR_ABOVE * fit_k[node] + max(
-            ABOVE_K, ABOVE_SHARE * rise_k
-        ):
-            yield (
-                f"{node} {left_k:.1f} K on what was left out, "
-                f"{fit_k[node]:.1f} K in the fit"
-            )
-    disc_k = accuracy.rms_k.get("disc", 0.0)
-    if disc_k > bearable_k(accuracy.baseline_k):
-        yield (
-            f"disc {disc_k:.1f} K on what was left out, a disc of one node "
-            f"{accuracy.baseline_k:.1f} K"
-        )

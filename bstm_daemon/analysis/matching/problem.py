@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
@@ -15,6 +15,7 @@ from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,
 )
+from bstm_daemon.analysis.matching.tunables import SIDES
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.estimator.corner_model import compile_corner
 
@@ -42,16 +43,13 @@ disc reaches 20 K (thesis section 3.2)."""
 OTHER: Final = SensorNoise(1.0, 5.0, 0.0, 3.0, quick_s=3.0)
 """Of any other node."""
 
-ALIKE_K: Final = 20.0
-"""What thermocouples in alike discs may read apart (thesis section 3.2)."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
     """One node over one drive, (n,) each; ``couples`` are (corner, name).
 
     ``steps`` are the indices of the drive's steps that count, ``rise_k`` is
-    above the air, ``weight`` how much each counts.
+    above the air.
     """
 
     drive: int
@@ -62,7 +60,6 @@ class Series:
     measured_k: Column
     slope_k_s: Column
     rise_k: Column
-    weight: Column | float = 1.0
 
     @property
     def corner(self) -> str:
@@ -126,7 +123,6 @@ class Problem:
         }
         self._whiteners = [
             self.noise[term.node].whitener(term.time_s, term.slope_k_s)
-            * term.weight
             for term in self.terms
         ]
 
@@ -145,26 +141,26 @@ class Problem:
         white.append((points - self.start) / self.prior)
         return np.concatenate(white, axis=1)
 
-    def counted_k(self, points: Column) -> list[Column]:
-        """Return :meth:`residuals_k` as much as each counts."""
-        return [
-            (apart.T * term.weight).T
-            for term, apart in zip(
-                self.terms, self.residuals_k(points), strict=True
-            )
-        ]
-
     def residuals_k(self, points: Column) -> list[Column]:
         """Return model less measurement [K] by term, (n, k) each."""
         targets = [self.target.changed(self.values(one)) for one in points]
-        programs = [compile_corner(one.config, one.corner) for one in targets]
+        # sides that are alike have one program
+        names = list(dict.fromkeys(run.corner for run in self.runs))
+        own = names if SIDES.keys() & set(self.keys) else names[:1]
+        programs = {
+            name: [
+                compile_corner(one.config, one.of(name).corner)
+                for one in targets
+            ]
+            for name in own
+        }
         configs = [one.config for one in targets]
         found = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for run in self.runs:
                 found[run.drive, run.corner] = pool.submit(
                     march,
-                    programs,
+                    programs.get(run.corner, programs[names[0]]),
                     self.drives[run.drive],
                     run.corner,
                     run.initial_k,
@@ -192,7 +188,7 @@ def whole_drives(
     for index, drive in enumerate(drives):
         for corner in target.corners:
             own = [
-                replace(one, weight=_weight(target, drive, couple, one))
+                one
                 for couple, node in drive.couples(corner, nodes)
                 if (
                     one := series_of(
@@ -207,25 +203,6 @@ def whole_drives(
                 runs.append(Run(index, corner, initial))
                 terms += own
     return runs, terms
-
-
-def _weight(
-    target: Target, drive: Drive, couple: str, series: Series
-) -> Column:
-    """Return how much points of *couple* count, (n,).
-
-    Corners that are alike measure twice what one set of values is to explain.
-    Where they are further apart than thermocouples are, no values can: one
-    brake bites later than the other, as cold carbon does. Such points would
-    bend what all the others say, so they count the less the further apart.
-    """
-    read = [
-        drive.measured[corner][couple].at(series.time_s)
-        for corner in target.corners
-        if couple in drive.measured.get(corner, {})
-    ]
-    apart_k = np.nan_to_num(np.ptp(read, axis=0))
-    return np.asarray(ALIKE_K / np.maximum(apart_k, ALIKE_K))
 
 
 def series_of(  # noqa: PLR0913

@@ -22,6 +22,7 @@ from bstm_daemon.analysis.matching.problem import (
     Problem,
     whole_drives,
 )
+from bstm_daemon.analysis.matching.tunables import SIDES, of_side
 from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
 from bstm_daemon.analysis.statistics.series import Column, rms, white_std
 from bstm_daemon.analysis.statistics.whitening import DRIFT_S, SensorNoise
@@ -69,6 +70,29 @@ class Refinement:
     points: int
     evaluations: int
     misfit: float = 1.0
+
+    def of_side(self, corner: str, rms_k: dict[str, float]) -> Refinement:
+        """Return it for *corner*, of sides that have values of their own."""
+        keys = tuple(key for key in self.keys if key not in SIDES)
+        kept = [self.keys.index(key) for key in keys]
+        columns = [
+            of_side(dict(zip(self.keys, one, strict=True)), corner)
+            for one in np.exp(np.eye(len(self.keys))).tolist()
+        ]
+        rows = np.log([[one[key] for one in columns] for key in keys])
+        covariance = rows @ self.covariance @ rows.T
+        prior = np.sqrt(rows**2 @ self.prior**2)
+        return replace(
+            self,
+            keys=keys,
+            start={key: self.start[key] for key in keys},
+            values=of_side(self.values, corner),
+            prior=prior,
+            covariance=covariance,
+            information=self.information[np.ix_(kept, kept)],
+            at_bound=tuple(key for key in self.at_bound if key in keys),
+            rms_k=rms_k,
+        )
 
     def standard_deviation(self, key: str) -> float:
         """Return the standard deviation of the value itself."""
@@ -120,11 +144,11 @@ def refine(  # noqa: PLR0913
         x = found.x
         evaluations += found.evaluations
         if number < rounds - 1:
-            counted = [one[:, 0] for one in problem.counted_k(x[None])]
+            apart = [one[:, 0] for one in problem.residuals_k(x[None])]
             problem.set_noise(
                 {
                     node: learned(_first(problem.noise[node], node), own)
-                    for node, own in _by_node(problem, counted).items()
+                    for node, own in _by_node(problem, apart).items()
                 }
             )
     apart = [one[:, 0] for one in problem.residuals_k(x[None])]

@@ -30,7 +30,7 @@ from bstm_daemon.model.thermal.brake_corner import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.config.sections import Config, CornerConfig
@@ -59,6 +59,14 @@ DRAG: Final = "vehicle.drag_area_m2"
 MASS: Final = "thermal.disc_mass_correction_factor"
 PARTITION: Final = "thermal.heat_partition_correction_factor"
 STILL: Final = "cooling.standstill_convection_fraction"
+
+SIDES: Final = {
+    f"{MASS}, right over left": (MASS,),
+    f"{LEVEL}, right over left": tuple(NODES_MS),
+}
+"""Factors on values of right corners, where discs alone are measured: brakes
+that are alike on paper differ by a tenth in friction and in the air they
+get."""
 
 EFFECT: Final = "effect"
 """Section of the keys ``effect.<name>.<parameter>``."""
@@ -157,6 +165,7 @@ TUNABLES: Final[dict[str, Tunable]] = {
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in S_SPEEDS_MS),
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in BEYOND_MS),
         Tunable(LEVEL, 0.03, 30.0, 1.5, "factor"),
+        *(Tunable(key, 0.5, 2.0, 0.1, "factor") for key in SIDES),
         Tunable(DRAG, 0.1, 30.0, 1.0, "m2"),
         Tunable(STILL, 0.05, 1.0, 0.3, "-"),
         Tunable("thermal.hot_pad_factor", 0.3, 1.0, 0.2, "-"),
@@ -247,7 +256,7 @@ class Target:
     def value(self, tunable: Tunable) -> float:
         """Return what *tunable* is now; factors on a table are 1."""
         corner = self.corner
-        if tunable.key in {*NODES_MS, LEVEL}:
+        if tunable.key in {*NODES_MS, LEVEL, *SIDES}:
             return 1.0
         section, name = split_key(tunable.key)
         if section == EFFECT:
@@ -287,6 +296,10 @@ class Target:
                 if abs(self.setting(key) / known.values[i] - 1.0) < SAME:
                     return replace(one, prior=known.deviations[i])
         return one
+
+    def of(self, corner: str) -> Target:
+        """Return *corner* alone."""
+        return replace(self, corners=(corner,))
 
     def with_cooling_form(self, form: str) -> Target:
         """Return the target with another ``cooling.form``."""
@@ -344,6 +357,7 @@ class Target:
             "cooling": dict(corner.cooling),
             "pad": {},
         }
+        values = of_side(values, corner.name)
         for key, value in values.items():
             if key not in {*NODES_MS, LEVEL, DRAG}:
                 section, name = split_key(key)
@@ -363,6 +377,16 @@ class Target:
             parts["cooling"]["s_per_s"] = (at * (y + beyond)).tolist()
         pad = corner.pad and corner.pad.model_copy(update=parts["pad"])
         return corner.model_copy(update={**parts, "pad": pad})
+
+
+def of_side(values: Mapping[str, float], corner: str) -> dict[str, float]:
+    """Return *values* as those of *corner* alone."""
+    found = {key: one for key, one in values.items() if key not in SIDES}
+    if corner.endswith("R"):
+        for factor, keys in SIDES.items():
+            for key in found.keys() & set(keys):
+                found[key] *= values.get(factor, 1.0)
+    return found
 
 
 def refined_keys(target: Target) -> tuple[str, ...]:

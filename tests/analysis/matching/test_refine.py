@@ -12,7 +12,7 @@ from bstm_daemon.analysis.matching import refine as refine_module
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.identifiability import ratios, verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.problem import FIRST, whole_drives
+from bstm_daemon.analysis.matching.problem import FIRST
 from bstm_daemon.analysis.matching.refine import (
     Refinement,
     errors_of,
@@ -23,8 +23,12 @@ from bstm_daemon.analysis.matching.refine import (
     rms_of,
 )
 from bstm_daemon.analysis.matching.tunables import (
+    FAST,
     MASS,
+    MIDDLE,
     REFINED,
+    SIDES,
+    SLOW,
     TUNABLES,
 )
 from bstm_daemon.analysis.statistics.levenberg_marquardt import Solution
@@ -64,36 +68,40 @@ def test_right_values_are_found(
     assert max(fit.rms_k.values()) < 2.0
 
 
-def test_where_alike_discs_differ_neither_bends_the_values(
+def test_alike_discs_have_values_of_their_own(
     target: Target, made: Callable[..., Drive]
 ) -> None:
-    """The right brake bites late: its disc misses half of the first heat."""
-    whole = made({MASS: 1.2}, nodes=("disc",), noise_k=0.5)
+    """The right brake takes a tenth less of the heat and gets less air."""
     both = replace(target, corners=("FL", "FR"))
-    steps = np.arange(len(whole)) < 1000
-    couple = whole.measured["FL"]["disc"]
-    early = steps[np.searchsorted(whole.time_s, couple.time_s - 0.01)]
-    air_k = whole.channel("FL", "ambient_k")[0]
-    rise_k = couple.temperature_k - air_k
-    late = replace(
-        couple,
-        temperature_k=air_k + np.where(early, 0.5, 1.0) * rise_k,
-    )
+    sides = {
+        corner: made(
+            {MASS: mass, **dict.fromkeys((SLOW, MIDDLE, FAST), air)},
+            nodes=("disc",),
+            noise_k=0.5,
+        )
+        for corner, mass, air in (("FL", 1.0, 1.0), ("FR", 1.1, 0.9))
+    }
+    left = sides["FL"]
     drive = replace(
-        whole,
+        left,
         corners=("FL", "FR"),
-        inputs=np.repeat(whole.inputs, 2, axis=1),
-        measured={"FL": {"disc": couple}, "FR": {"disc": late}},
+        inputs=np.repeat(left.inputs, 2, axis=1),
+        measured={corner: one.measured["FL"] for corner, one in sides.items()},
     )
 
-    fit = refine(both, [drive], (MASS,))
-    left, right = whole_drives(both, [drive])[1]
+    matches = match_drives(both.config, [Reading(None, [drive])])
 
-    assert fit.values[MASS] == pytest.approx(1.2, rel=0.02)
-    apart_k = left.measured_k - right.measured_k
-    assert apart_k.max() > 60.0
-    assert left.weight == pytest.approx(
-        np.minimum(20.0 / np.maximum(apart_k, 1.0), 1.0)
+    left, right = (match.joint for match in matches)
+    assert [match.corners for match in matches] == [("FL",), ("FR",)]
+    for fit in (left, right):
+        assert fit.keys == tuple(fit.values)
+        assert not SIDES.keys() & fit.values.keys()
+        assert fit.rms_k["disc"] < 1.0
+    assert right.values[MASS] / left.values[MASS] == pytest.approx(
+        1.1, abs=0.02
+    )
+    assert right.values[FAST] / left.values[FAST] == pytest.approx(
+        0.9, abs=0.03
     )
 
 

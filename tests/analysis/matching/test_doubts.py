@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.matching.matcher import _doubts
+from bstm_daemon.analysis.matching.doubts import doubts
 from bstm_daemon.analysis.matching.refine import Accuracy
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def test_a_match_that_is_worse_than_configured_is_doubted(
     rise_k, error_k = np.full(9, 100.0), np.full(9, 1.2)
 
     found = list(
-        _doubts(
+        doubts(
             cast("Refinement", joint),
             accuracy,
             {node: [(error_k if node == "fluid" else 10.0 * error_k, rise_k)]},
