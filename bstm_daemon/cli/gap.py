@@ -19,7 +19,7 @@ from bstm_daemon.analysis.gap.workflow import (
     is_unmatched,
 )
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
-from bstm_daemon.analysis.matching.coarse import CAR_MASS, guesses_of
+from bstm_daemon.analysis.matching.coarse import check_mass
 from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
@@ -209,13 +209,8 @@ def _by_forces(
             "and run work, from forces"
         )
         raise UsageError(msg)
-    if CAR_MASS in guesses_of(command.args.config) and not command.args.anyway:
-        msg = (
-            f"{command.args.config}: {CAR_MASS} is a typical value, and what "
-            "forces show depends on it: weigh the car and take the word out "
-            "of the line, or give --anyway"
-        )
-        raise UsageError(msg)
+    if not command.args.anyway:
+        check_mass(command.args.config)
     what = "pressure against motion"
     for one in (*recordings, *held_out):
         have = one.drive.roles, one.present

@@ -20,6 +20,7 @@ from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.residual_heat import WINDOW_STEPS
 from bstm_daemon.analysis.gap.workflow import find_gap, is_unmatched
+from bstm_daemon.analysis.matching.coarse import check_mass
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.learned import DAY_TO_DAY
 from bstm_daemon.errors import BstmError, LogError
@@ -55,7 +56,7 @@ class CarJob:
     """The search of one car: its drives, the latest ones of the plan.
 
     ``program`` is that of the client; with ``anyway`` an unmatched car gets
-    names too.
+    names too, and one that nobody weighed a search by forces.
     """
 
     root: str
@@ -203,6 +204,8 @@ def _searched(job: CarJob) -> dict[str, Any]:
         else:
             check_inputs(*needs, INPUTS["ff"], "pressure against motion")
     if not measured:
+        if not job.anyway:
+            check_mass(Path(job.last.config))
         force = find_force_gap(config, recordings)
         groups = [force_json(force) | _equations(force.naming)]
     else:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import closing, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -189,6 +191,38 @@ def test_a_car_that_fails_costs_itself(
     assert line.startswith("car0: drive0.log")
     assert groups_of([job]) == []
     assert job.result()["key"] != job.key
+
+
+def test_forces_of_a_car_that_nobody_weighed_are_not_searched(
+    make_fleet: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = make_fleet(1, [0])
+    car = fleet.folder / "car.toml"
+    text = car.read_text("utf-8")
+    guess = re.sub(
+        "(?m)^(mass_kg = [0-9.]+).*$", r"\1  # typical", text, count=1
+    )
+    assert guess != text
+    car.write_text(guess, "utf-8")
+    fleet.plan()
+    (job,) = jobs_of(fleet.lake.root)
+    drive = SimpleNamespace(measured={}, roles=())
+    forces = SimpleNamespace(name="drive0", drive=drive, present={})
+    monkeypatch.setattr(gap_module, "read_recording", lambda *_: forces)
+    monkeypatch.setattr(gap_module, "check_inputs", lambda *_: None)
+
+    def search(*_: Any) -> None:
+        raise LogError("searched")  # noqa: EM101
+
+    monkeypatch.setattr(gap_module, "find_force_gap", search)
+
+    for anyway, said in (
+        (False, "mass_kg is a typical value"),
+        (True, "searched"),
+    ):
+        own = replace(job, anyway=anyway)
+        assert search_car(own) == FAILED
+        assert said in failures_of([own])[0]
 
 
 def test_a_worker_of_another_program_searches_nothing(
