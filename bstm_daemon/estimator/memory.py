@@ -6,9 +6,10 @@ below, or the :class:`Machine` whose memory it is, has validated it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 from math import isfinite
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import (
     BaseModel,
@@ -19,9 +20,6 @@ from pydantic import (
 )
 
 from bstm_daemon.config.wording import problems_of_section
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Document = dict[str, Any]
 

@@ -10,9 +10,10 @@ clock that is set right later, and needs :func:`keep_input_history` before.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bstm_daemon.channels import CHANNELS, FLAGS
 from bstm_daemon.estimator.blocks import channels_at_rest
@@ -20,6 +21,8 @@ from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.estimator.estimator import STEP_US, Estimator
 from bstm_daemon.estimator.input_history import InputHistory
 from bstm_daemon.estimator.memory import (
+    Document,
+    Machine,
     SavedLearned,
     SavedSamples,
     SavedState,
@@ -33,17 +36,12 @@ from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.learned import LEARNED_NAMES, learned_fault
 from bstm_daemon.model.heat.memory import NEVER, SampleState
 from bstm_daemon.model.heat.sample_plan import PLAN_LAYOUT
+from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.network import Network
 from bstm_daemon.model.thermal.settling import cooling_time_s
 from bstm_daemon.model.wear.dose import DOSE
 from bstm_daemon.model.wear.pads import Change
 from bstm_daemon.roles import ROLES
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from bstm_daemon.estimator.memory import Document, Machine
-    from bstm_daemon.model.thermal.kernel import Batch
-    from bstm_daemon.model.thermal.network import Network
 
 RESUMABLE_US: Final = 60_000_000
 """A pause up to this is marched on the grid like a silent bus, so that a

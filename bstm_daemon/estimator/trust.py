@@ -12,16 +12,13 @@ wrong.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import exp, isfinite
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 from bstm_daemon.channels import CHANNELS, FLAGS
+from bstm_daemon.estimator.blocks import Block
 from bstm_daemon.estimator.memory import Machine, Number
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.estimator.blocks import Block
 
 MEMORY: Final = 30.0
 """The network's time constants are minutes to an hour; heat that was wrong

@@ -10,47 +10,44 @@ tunables free, each term paying for the choice among all of them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import log
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.evidence import (
     NEXT_EVIDENCE,
     NEXT_SHARE,
+    Candidate,
     cross_validated,
     explained_share,
     probabilities,
     weigh,
 )
-from bstm_daemon.analysis.gap.naming import AGAINST
+from bstm_daemon.analysis.gap.naming import AGAINST, Naming
+from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.residual_heat import measured_nodes
-from bstm_daemon.analysis.gap.signatures import signature_of
-from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
+    signature_of,
+)
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import march, model_of
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
     fit_terms,
 )
+from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.composed import FORMS, PATHS, PREFIX, Term
-from bstm_daemon.model.thermal.network import Link, value
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.gap.evidence import Candidate
-    from bstm_daemon.analysis.gap.naming import Naming
-    from bstm_daemon.analysis.gap.noise import Layout
-    from bstm_daemon.analysis.gap.signatures import Linearised, Signature
-    from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.model.effects.model import CornerModel
-    from bstm_daemon.model.thermal.network import Factor, Node
+from bstm_daemon.model.effects.model import CornerModel
+from bstm_daemon.model.thermal.network import Factor, Link, Node, value
 
 BLOCK: Final = 10
 """Steps of the grid that responses are marched by: 5 s."""

@@ -7,7 +7,6 @@ operations in the same order.
 from __future__ import annotations
 
 from math import isnan
-from typing import TYPE_CHECKING
 
 from bstm_daemon.model.heat.check_rules import (
     AIR_FALL_K_S,
@@ -18,10 +17,8 @@ from bstm_daemon.model.heat.check_rules import (
     LOWEST_CODE_K,
     LOWEST_CODE_WITHIN_K,
 )
-
-if TYPE_CHECKING:
-    from bstm_daemon.model.heat.memory import CheckMemory
-    from bstm_daemon.model.heat.readings import Readings
+from bstm_daemon.model.heat.memory import CheckMemory
+from bstm_daemon.model.heat.readings import Readings
 
 
 def compare_air(m: CheckMemory, now: Readings) -> None:

@@ -9,9 +9,10 @@ what holds at the end of a step; limits and thresholds are those of
 from __future__ import annotations
 
 import statistics
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, isnan
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from bstm_daemon.channels import (
     CORNER_PRESSURE_SUSPECT,
@@ -51,7 +52,7 @@ from bstm_daemon.model.heat.check_rules import (
     ZERO,
     ZERO_PA,
 )
-from bstm_daemon.model.heat.memory import NEVER
+from bstm_daemon.model.heat.memory import NEVER, CheckMemory
 from bstm_daemon.model.heat.motion_checks import (
     all_frozen,
     compare_motion,
@@ -60,15 +61,9 @@ from bstm_daemon.model.heat.motion_checks import (
     watch_leap,
     wrong_scale,
 )
+from bstm_daemon.model.heat.readings import Readings
+from bstm_daemon.model.heat.sample_plan import PlanNumbers
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bstm_daemon.model.heat.memory import CheckMemory
-    from bstm_daemon.model.heat.readings import Readings
-    from bstm_daemon.model.heat.sample_plan import PlanNumbers
-
 
 _FIRST_THERMOCOUPLE: Final = ROLE_INDEX[f"temp_fl_{MEASURED_NODES[0]}"]
 _NO_MOTION: Final = FLAGS["speed_suspect"] | FLAGS["acceleration_suspect"]
