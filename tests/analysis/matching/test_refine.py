@@ -163,6 +163,29 @@ def test_a_ratio_that_is_known_better_than_its_parts_is_named(
     assert "only together with" in verdicts(fit)[1].reason
 
 
+def test_a_side_is_as_uncertain_as_both_and_their_ratio() -> None:
+    """Logarithms add up: that of the right is the left's and the factor's."""
+    keys = (MASS, FAST, *SIDES)
+    covariance = np.diag([0.01, 0.04, 0.02, 0.03])
+    covariance[0, 2] = covariance[2, 0] = -0.004
+    prior = np.array([1.0, 0.3, 0.1, 0.1])
+    values = dict(zip(keys, (0.5, 2.0, 1.1, 0.9), strict=True))
+    fit = Refinement(
+        keys, values, values, prior, covariance,
+        np.linalg.inv(covariance), keys[2:], {}, {}, 100, 10,
+    )  # fmt: skip
+
+    left, right = (fit.of_side(one, {"disc": 3.0}) for one in ("FL", "FR"))
+
+    assert left.values == {MASS: 0.5, FAST: 2.0}
+    assert right.values == pytest.approx({MASS: 0.55, FAST: 1.8})
+    assert np.diag(left.covariance) == pytest.approx([0.01, 0.04])
+    assert np.diag(right.covariance) == pytest.approx([0.022, 0.07])
+    assert right.prior == pytest.approx([1.01**0.5, 0.1**0.5])
+    assert right.at_bound == ()
+    assert right.rms_k == {"disc": 3.0}
+
+
 @pytest.mark.slow
 def test_what_was_left_out_shows_what_a_fit_does_not(
     target: Target, made: Callable[..., Drive]
