@@ -235,19 +235,28 @@ class CarForecast:
         most = boiling.mean_probability(own.most_k)
         if most == 0.0:
             return True
-        least = boiling.mean_probability(own.least_k)
-        if not corner.level.is_sure(least, most) or not self.car.level.is_sure(
-            *(
-                boiling.mean_probability(hottest(one))
-                for one in (
-                    [r.least_k for r in self.ranges],
-                    [r.most_k for r in self.ranges],
-                )
+        if not (
+            self._does_one_thing(corner.level, [own], most)
+            and self._does_one_thing(
+                self.car.level,
+                self.ranges,
+                boiling.mean_probability(
+                    hottest([one.most_k for one in self.ranges])
+                ),
             )
         ):
             return False
         # for the time until it is safe, before there is a bound of it
         return most < PROBABILITIES[0] or corner.march.raised_us is not None
+
+    def _does_one_thing(
+        self, level: LevelMemory, ranges: Sequence[Range], most: float
+    ) -> bool:
+        """Whether all risks of *ranges*, at *most* as given, do to *level*."""
+        if level.is_sure(0.0, most):
+            return True
+        least_k = hottest([one.least_k for one in ranges])
+        return level.is_sure(self.boiling.mean_probability(least_k), most)
 
     def courses(self) -> dict[str, list[Course]]:
         """Return the courses of each corner, as they are estimated."""
@@ -264,4 +273,6 @@ class CarForecast:
 
 def hottest(series: Sequence[Sequence[float]]) -> list[float]:
     """Return the hottest corner of each member; *series* one a corner."""
+    if len(series) == 1:
+        return [*series[0]]
     return [max(values) for values in zip(*series, strict=True)]

@@ -94,12 +94,16 @@ class RiskMonitor:
 
     def add(self, block: Block) -> list[CarRisk]:
         """Return the risk at each publication of *block*."""
-        return [self._advance(block.at(i)) for i in range(len(block.times_us))]
+        known_from = max(block.known_from.values(), default=0)
+        return [
+            self._advance(block.at(i), history_known=i >= known_from)
+            for i in range(len(block.times_us))
+        ]
 
-    def _advance(self, instant: Instant) -> CarRisk:
+    def _advance(self, instant: Instant, *, history_known: bool) -> CarRisk:
         while self._samples and self._samples[0][0] <= instant.time_us:
             self.fluid.ingest(*self._samples.pop(0))
-        if instant.history_known:
+        if history_known:
             self._bound = None
             return self.course.advance(instant)
         if self._bound is None:
