@@ -100,7 +100,7 @@ THERMOCOUPLES: Final = "measured temperatures"
 """A thermocouple of a corner contradicts whatever heats it wrongly."""
 
 MATCH: Final = "its match"
-_AT_FLUID: Final = frozenset({"fluid", "caliper"})
+AT_FLUID: Final = frozenset({"fluid", "caliper"})
 """A match that compared one of these nodes knows the way of the heat there."""
 
 
@@ -159,7 +159,7 @@ def verified_by(
     matched = config.matched_of(corner)
     if matched is not None:
         seen = f"temp_{corner.lower()}_fluid" in roles
-        known = not _AT_FLUID.isdisjoint(matched.form_k)
+        known = not AT_FLUID.isdisjoint(matched.form_k)
         found[Input.FLUID] = (MATCH,) * known + (THERMOCOUPLES,) * seen
     return found
 

@@ -185,8 +185,8 @@ def driven_keys(
         out = [key for key in keys if key not in OF_DISC]
         if out:
             why.append(
-                "no thermocouple but in discs: left out, as configured, and "
-                "the fluid unverified: " + ", ".join(out)
+                "no thermocouple but in discs: left out, and as configured: "
+                + ", ".join(out)
             )
     speed = np.concatenate(
         [drive.channel(target.corner.name, "speed_ms") for drive in drives]

@@ -60,6 +60,7 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.analysis.statistics.series import rms
+from bstm_daemon.estimator.verified import AT_FLUID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -72,6 +73,10 @@ if TYPE_CHECKING:
 
 MUCH_LESS: Final = 0.8
 """A form is worth a word where it leaves so much less of the error."""
+
+NO_FLUID: Final = (
+    "no thermocouple in fluid or caliper: such a corner stays unverified"
+)
 
 CHOSEN: Final[dict[str, Callable[[Target], float]]] = {
     CAPACITY: exponent_of,
@@ -283,6 +288,8 @@ def _match(
     )
     remarks += found.remarks
     if not only:
+        if AT_FLUID.isdisjoint(joint.rms_k):
+            remarks.append(NO_FLUID)
         of_form = _other_form(found.target, drives, joint)
         remarks += [of_form, _no_hard_stop(target, drives)]
     of_sides = [target.corners]

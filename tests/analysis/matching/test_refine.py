@@ -11,7 +11,7 @@ import pytest
 from bstm_daemon.analysis.matching import refine as refine_module
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.identifiability import ratios, verdicts
-from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.matcher import NO_FLUID, match_drives
 from bstm_daemon.analysis.matching.problem import FIRST
 from bstm_daemon.analysis.matching.refine import (
     Refinement,
@@ -91,6 +91,7 @@ def test_alike_discs_have_values_of_their_own(
 
     matches = match_drives(both.config, [Reading(None, [drive])])
 
+    assert all(NO_FLUID in match.remarks for match in matches)
     left, right = (match.joint for match in matches)
     assert [match.corners for match in matches] == [("FL",), ("FR",)]
     for fit in (left, right):
