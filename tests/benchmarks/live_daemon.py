@@ -11,7 +11,7 @@ import socket
 import sys
 
 EXTRAS = (
-    *("asammdf", "h5py", "jinja2", "libxrk", "pandas", "plotly"),
+    *("asammdf", "greenlet", "h5py", "jinja2", "libxrk", "pandas", "plotly"),
     *("paho", "prometheus_client", "pyarrow", "rich", "scipy", "tomlkit"),
     "tornado",
 )
