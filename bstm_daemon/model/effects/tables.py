@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 
+from bstm_daemon.model.effects.model import Parameter
 from bstm_daemon.model.thermal.network import Factor, value
 from bstm_daemon.model.thermal.table import Table
+from bstm_daemon.roles import MEASURED_NODES
 from bstm_daemon.units import KELVIN_OFFSET
 
 ROOM_K = 20.0 + KELVIN_OFFSET
@@ -27,3 +29,26 @@ def rising_with_speed(still: float, rise: float) -> Factor:
     """Return a factor *still* at rest and *rise* more for each m/s."""
     ends = (still, still + FASTEST_MS * rise)
     return value("speed_ms", Table(0.0, FASTEST_MS, ends))
+
+
+SENSOR = Parameter(
+    "sensor",
+    *("1", 0.0, float(len(MEASURED_NODES)), 0.0),
+    f"0 all, 1 {MEASURED_NODES[0]} ... {len(MEASURED_NODES)} "
+    f"{MEASURED_NODES[-1]}",
+)
+"""Which thermocouple an error is of."""
+
+EACH_SENSOR = tuple(
+    {SENSOR.name: 1.0 + i}
+    for i, node in enumerate(MEASURED_NODES)
+    if node != "disc_2"
+)
+"""Forms of an error of one thermocouple."""
+
+
+def sensors_of(number: float) -> tuple[str, ...]:
+    """Return the nodes whose thermocouples :data:`SENSOR` means."""
+    if number < 1.0:
+        return MEASURED_NODES
+    return (MEASURED_NODES[round(number) - 1],)

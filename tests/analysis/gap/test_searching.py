@@ -13,6 +13,7 @@ from bstm_daemon.analysis.gap.fitting import directions
 from bstm_daemon.analysis.gap.searching import search
 from bstm_daemon.analysis.gap.signatures import forms_of, sensed
 from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.matching.tunables import targets_of
 
 if TYPE_CHECKING:
@@ -73,6 +74,39 @@ def test_a_late_clock_is_found(
     assert naming.names[0] == "clock_offset"
     assert naming.candidates[0].strength == pytest.approx(2.0, rel=0.3)
     assert comparison.forms == {}
+
+
+@pytest.mark.slow
+def test_one_late_sensor_is_no_late_clock(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """The disc's thermocouple follows with 20 s, the others at once."""
+    recording = made({})
+    measured = {
+        corner: {**couples, "disc": lagging(couples["disc"], 20.0)}
+        for corner, couples in recording.drive.measured.items()
+    }
+    late = replace(
+        recording, drive=replace(recording.drive, measured=measured)
+    )
+    comparison = compare(targets_of(config, ["FL"])[0], [late])
+    simulated = sensed(comparison, ["clock_offset", "thermocouple_lag"])
+
+    _, naming = search(comparison, simulated, directions(comparison))
+
+    assert naming.names == ("thermocouple_lag",)
+    assert comparison.forms["thermocouple_lag"] == {"sensor": 1.0}
+    assert naming.candidates[0].strength == pytest.approx(20 / 15, rel=0.3)
+
+
+def lagging(one: Thermocouple, lag_s: float) -> Thermocouple:
+    """Return what a sensor of that time constant shows of *one*."""
+    shown_k = one.temperature_k.copy()
+    follows = 1.0 - np.exp(-np.diff(one.time_s) / lag_s)
+    for i, share in enumerate(follows):
+        shown_k[i + 1] = (1.0 - share) * shown_k[i]
+        shown_k[i + 1] += share * one.temperature_k[i + 1]
+    return Thermocouple(one.time_s, shown_k)
 
 
 def test_between_steps_is_a_straight_line() -> None:

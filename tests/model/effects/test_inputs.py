@@ -400,6 +400,17 @@ def test_a_lagging_sensor_shows_the_past(
     assert abs(ledger.residual) < 1e-9 * ledger.generated
 
 
+def test_one_sensor_errs_alone(car: Callable[..., Config]) -> None:
+    late = car("ff", "thermocouple_lag", sensor=1.0)
+    shown = corner_model(late, late.corner[0]).shown
+    high = edited_inputs(car("ff", "thermocouple_offset", sensor=5.0))
+
+    assert (shown("disc"), shown("fluid")) == ("disc_sensor", "fluid")
+    assert {one.role for one in high.corrections} == {
+        f"temp_{corner}_fluid" for corner in ("fl", "fr", "rl", "rr")
+    }
+
+
 def test_the_model_names_what_a_sensor_shows(
     car: Callable[..., Config],
 ) -> None:

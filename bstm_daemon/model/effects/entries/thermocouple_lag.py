@@ -2,16 +2,20 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.effects.tables import NEGLIGIBLE
+from bstm_daemon.model.effects.tables import (
+    EACH_SENSOR,
+    NEGLIGIBLE,
+    SENSOR,
+    sensors_of,
+)
 from bstm_daemon.model.thermal.network import Link, Node
-from bstm_daemon.roles import MEASURED_NODES
 
 BEAD_J_K = 1e-3
 """A welded bead of 0.7 mm; what it takes from its node can not be seen."""
 
 
 class ThermocoupleLag(Effect):
-    """A bead on each measured node that follows with a time constant.
+    """A bead on each measured node, or one, that follows with a time constant.
 
     Sheathed elements in contact take 5 to 20 s. A lag can not be taken off a
     noisy reading, so the model shows what a lagging sensor would.
@@ -24,7 +28,9 @@ class ThermocoupleLag(Effect):
     twins = ("thermocouple_offset", "disc_hat")
     own_parameters = (
         Parameter("time_s", "s", 0.1, 120.0, 15.0, "time constant"),
+        SENSOR,
     )
+    forms = EACH_SENSOR
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Add a bead for every node that may be measured."""
@@ -32,7 +38,7 @@ class ThermocoupleLag(Effect):
             return model
         conductance = BEAD_J_K / self.scaled("time_s")
         net, shown = model.network, dict(model.shown_by)
-        for node in MEASURED_NODES:
+        for node in sensors_of(self["sensor"]):
             if not model.has_node(node):
                 continue
             bead = f"{node}_sensor"

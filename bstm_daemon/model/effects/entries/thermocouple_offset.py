@@ -3,8 +3,12 @@
 from bstm_daemon.config.sections import CornerConfig
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
-from bstm_daemon.model.effects.tables import ROOM_K
-from bstm_daemon.roles import MEASURED_NODES
+from bstm_daemon.model.effects.tables import (
+    EACH_SENSOR,
+    ROOM_K,
+    SENSOR,
+    sensors_of,
+)
 
 
 class ThermocoupleOffset(Effect):
@@ -23,7 +27,9 @@ class ThermocoupleOffset(Effect):
     own_parameters = (
         Parameter("offset_k", "K", 0.0, 60.0, 9.0, "reads too high"),
         Parameter("gain", "1", 0.0, 0.15, 0.02, "of the excess over 20 degC"),
+        SENSOR,
     )
+    forms = EACH_SENSOR
 
     def edit_corner_inputs(
         self, inputs: InputModel, corner: CornerConfig
@@ -38,6 +44,6 @@ class ThermocoupleOffset(Effect):
                     1.0 / gain,
                     ROOM_K - zero / gain,
                 )
-                for node in MEASURED_NODES
+                for node in sensors_of(self["sensor"])
             )
         )
