@@ -266,6 +266,9 @@ def _match(
     found = search(target, readings)
     drives = found.reading.drives
     keys, remarks = _keys(found.target, drives, only)
+    sides = {corner[-1] for corner in target.corners}
+    if not only and _discs_only(keys) and len(sides) > 1:
+        keys += SIDES
     start, stages = run_stages(
         found.target,
         drives,
@@ -368,9 +371,6 @@ def _keys(
     wanted = COOLING if only == "cooling" else refined_keys(target)
     wanted, why = driven_keys(target, drives, wanted)
     keys, remarks = usable(target, wanted)
-    sides = {corner[-1] for corner in target.corners}
-    if not only and _discs_only(keys) and len(sides) > 1:
-        keys += SIDES
     return keys, [*remarks, *why]
 
 
@@ -409,6 +409,7 @@ def _folds(
     for number, (pieces, left) in enumerate(folds):
         start = search(target, [one.of(pieces) for one in readings])
         keys = _keys(start.target, start.reading.drives, only)[0]
+        keys += [key for key in SIDES if key in joint.keys]
         first = {} if start.noise else joint.values
         fit = _refined(start, keys, first, None, joint.noise)
         unseen = next(
