@@ -97,10 +97,11 @@ MODES: Final = ("auto", *FORMED)
 
 CARS: Final[dict[str, tuple[int | None, int]]] = {
     "example": (None, 1),
-    "foreign": (0, 3),
+    "foreign": (3, 3),
 }
-"""Number and seed of the configured car, and of one of the healthy ones. With
-a fault the second has learned on LEARNING before, as a car in use has."""
+"""Number and seed of the configured car, and of the first healthy one whose
+discs stay below 700 degC on all drives. With a fault the second has learned on
+LEARNING before, as a car in use has."""
 
 LEARNING: Final = "city"
 
