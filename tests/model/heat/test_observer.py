@@ -241,6 +241,38 @@ def test_what_the_resting_foot_brakes_is_no_bias(
     assert found == pytest.approx(bias, abs=0.012)
 
 
+def test_a_resting_foot_may_press_one_circuit_alone(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    make_corner: Any,
+) -> None:
+    """One offset reads as pressed and the other not: neither brakes."""
+    rear = {"circuit": "secondary"}
+    car = make_car(
+        *(
+            make_corner(name, **rear if name[0] == "R" else {})
+            for name in CORNERS
+        ),
+        heat={"mode": "fused"},
+    )
+    samples = []
+    for at, role, value in Driver(Truth()).town(12):
+        now = value
+        if role == "primary_pressure":
+            samples.append((at, "secondary_pressure", value))
+            now = max(value, 25e3)
+        elif role == "brake_switch":
+            now = 1.0
+            pressed_m = 0.02 if value > 0.0 else 0.003
+            samples.append((at, "brake_pedal_travel", pressed_m))
+        samples.append((at, role, now))
+    more = "brake_pedal_travel", "secondary_pressure"
+    run = start(car, kernel, *ROLES, *more).feed(samples)
+
+    assert run.of_car("mass_kg")[-1] == pytest.approx(2500.0, rel=0.04)
+
+
 def test_heat_is_right_once_learned(
     kernel: Kernel | None, fused: Callable[..., Run]
 ) -> None:
