@@ -33,10 +33,11 @@ LEAST_J: Final = 3e5
 
 LEAST_RATIO: Final = 0.6
 MOST_RATIO: Final = 1.75
+LEARNED: Final = 0.05
 """Work by pressure over the work that heats, of a sound car: linings have
-0.7 to 1.3 of their nominal friction, 0.6 when they fade. A deviation less of
-heat that is too high does not hide heat, one more of heat that is too low
-would."""
+0.7 to 1.3 of their nominal friction, 0.6 when they fade. As long as the heat
+by pressure has a deviation of LEARNED of it or more, a deviation less does not
+contradict: heat that is too high hides none."""
 
 _POWER: Final = CHANNELS.index("brake_power_w")
 _DEVIATION: Final = CHANNELS.index("brake_power_std_w")
@@ -154,7 +155,9 @@ class Trust(Machine):
         if began or flags & self._excused:
             return
         heat_j = step_s * sum(row[_POWER :: len(CHANNELS)])
-        doubt_j = step_s * sum(row[_DEVIATION :: len(CHANNELS)])
+        doubt_j = 0.0
+        if not flags & FLAGS["braking_unpressed"]:
+            doubt_j = step_s * sum(row[_DEVIATION :: len(CHANNELS)])
         pressed_j = self._pressed_j - before_j
         if not (heat_j > 0.0 or pressed_j > 0.0):
             return
@@ -168,7 +171,8 @@ class Trust(Machine):
         pressed_j, heat_j = self._work
         if max(pressed_j, heat_j) < LEAST_J:
             return False
-        least_j = LEAST_RATIO * (heat_j - self._doubt_j)
+        learned = self._doubt_j < LEARNED * heat_j
+        least_j = LEAST_RATIO * (heat_j - (0.0 if learned else self._doubt_j))
         return not least_j <= pressed_j <= MOST_RATIO * heat_j
 
     def remembers(self, corner: str) -> bool:

@@ -216,6 +216,8 @@ def test_an_assistant_brakes_without_the_pedal() -> None:
         (11e3, 0.0, True),
         (11e3, 2e3, False),  # 0.55 is not below 0.6 of 18 kW
         (10.7e3, 2e3, True),
+        (11.5e3, 1.1e3, False),
+        (11.5e3, 0.9e3, True),  # the car is known
         (36e3, 0.0, True),
         (36e3, 9e3, True),  # what is too little is not excused
     ],
@@ -230,6 +232,10 @@ def test_heat_within_its_deviation_is_no_contradiction(
     assert course.found(trust)[-1] is differs
 
     again = trust_of()
+    flags = FLAGS["braking_unpressed"]  # heat that no pressure shows
+    course = Course().go(50.0, flags=flags, heat_w=20e3, std_w=15e3)
+    assert course.found(again)[-1]
+
     again.restore(trust.export())
     assert again.export() == trust.export()
     old = {k: v for k, v in trust.export().items() if k != "_doubt_j"}
