@@ -17,7 +17,7 @@ from bstm_daemon.analysis.matching.identifiability import (
     verdicts,
 )
 from bstm_daemon.analysis.matching.matcher import Match
-from bstm_daemon.analysis.matching.refine import Refinement
+from bstm_daemon.analysis.matching.refine import Accuracy, Refinement
 from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.report.gap import answer_line, called
 from bstm_daemon.report.json_file import picked
@@ -121,13 +121,20 @@ def headline(match: Match) -> str:
     )
     if accuracy.left_out:
         change = _moved(accuracy.before_k, accuracy.rms_k)
-        text = f"{what}: RMS on {accuracy.left_out}, left out: {change}"
-        if accuracy.baseline_k > 0.0:
-            text += f" (a disc of one node: {accuracy.baseline_k:.1f} K)"
+        text = (
+            f"{what}: RMS on {accuracy.left_out}, left out: {change}"
+            f"{_of_one_node(accuracy)}"
+        )
     if match.verdict:
         why = "; ".join(map(short, match.verdict))
         text += f": a part of the model may be missing: run bstm gap ({why})"
     return text
+
+
+def _of_one_node(accuracy: Accuracy) -> str:
+    if not accuracy.baseline_k > 0.0:
+        return ""
+    return f" (a disc of one node: {accuracy.baseline_k:.1f} K)"
 
 
 def match_text(match: Match) -> str:
@@ -277,10 +284,13 @@ def match_page(
                 folded=True,
             )
         )
-    tiles = [
-        (f"{value:.1f} K", f"RMS {node.replace('_', ' ')} in the fit")
-        for node, value in matches[0].joint.rms_k.items()
-    ]
+    worst: dict[str, tuple[float, str]] = {}
+    for match in matches:
+        where = f", {', '.join(match.corners)}" if len(matches) > 1 else ""
+        for node, rms_k in match.joint.rms_k.items():
+            told = f"RMS {node.replace('_', ' ')} in the fit{where}"
+            worst[node] = max(worst.get(node, (0.0, "")), (rms_k, told))
+    tiles = [(f"{rms_k:.1f} K", told) for rms_k, told in worst.values()]
     lead = ". ".join(sentence(match) for match in matches)
     return Page("Match", sections, tiles, f"{lead}.", subtitle=subtitle)
 
@@ -293,7 +303,7 @@ def sentence(match: Match) -> str:
         change = _moved(accuracy.before_k, accuracy.rms_k).replace("_", " ")
         text = (
             f"{what}: on what the fit did not use ({accuracy.left_out}) the "
-            f"RMS error changed: {change}"
+            f"RMS error changed: {change}{_of_one_node(accuracy)}"
         )
     else:
         text = (

@@ -346,6 +346,9 @@ def test_dropped_frames_are_published(
     # room for some cycles, not for the stop
     running = daemon({"daemon.receive_buffer_bytes": 32768})
     heard.wait(1, BASE)
+    series = 'bstm_bus_dropped_frames_total{bus="chassis",channel="vcan0"}'
+    # on a busy machine the service may have missed frames before
+    before = running.metric(series, lambda _: True)
 
     running.process.send_signal(signal.SIGSTOP)
     count = len(driven.sent)
@@ -353,12 +356,9 @@ def test_dropped_frames_are_published(
         driven._over.wait(0.01)
     running.process.send_signal(signal.SIGCONT)
 
-    dropped = running.event("frames_dropped", bus="chassis")["count"]
-    assert 100 < dropped <= 250
-    total = running.metric(
-        'bstm_bus_dropped_frames_total{bus="chassis",channel="vcan0"}',
-        lambda value: value >= dropped,
-    )
+    total = running.metric(series, lambda value: value > before + 100)
+    assert total <= len(driven.sent)
+    assert running.event("frames_dropped", bus="chassis")["count"] <= total
     status = heard.wait(3, BASE, since=len(heard.frames))[-1]
     assert decoded(BASE, status.data)["DroppedFrames"] == min(total, 125)
     assert running.end() == 0

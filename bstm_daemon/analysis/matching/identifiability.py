@@ -75,7 +75,8 @@ def verdicts(fit: Refinement) -> list[Verdict]:
     for i, key in enumerate(fit.keys):
         share = float(deviations[i] / fit.prior[i])
         reason = ""
-        if key in fit.at_bound:
+        # what the drives say nothing of may lie at a bound by chance
+        if key in fit.at_bound and share < KNOWN:
             tunable = TUNABLES[key]
             at_upper = fit.values[key] > (tunable.lower * tunable.upper) ** 0.5
             bound = tunable.upper if at_upper else tunable.lower

@@ -33,6 +33,7 @@ from bstm_daemon.analysis.matching.tunables import (
 )
 from bstm_daemon.analysis.statistics.levenberg_marquardt import Solution
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
+from bstm_daemon.report.match import match_page
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,6 +92,15 @@ def test_alike_discs_have_values_of_their_own(
 
     matches = match_drives(both.config, [Reading(None, [drive])])
 
+    page = match_page(matches, "")
+    worst = max(matches, key=lambda match: match.joint.rms_k["disc"])
+    assert page.tiles == [
+        (
+            f"{worst.joint.rms_k['disc']:.1f} K",
+            f"RMS disc in the fit, {worst.corners[0]}",
+        )
+    ]
+    assert str(page.lead).count("(a disc of one node: ") == 2
     assert all(NO_FLUID in match.remarks for match in matches)
     left, right = (match.joint for match in matches)
     assert [match.corners for match in matches] == [("FL",), ("FR",)]
@@ -117,6 +127,9 @@ def test_a_wrong_form_ends_at_a_bound_and_says_so(
 
     assert fit.at_bound == ("thermal.disc_mass_correction_factor",)
     assert "physical bound 0.7" in verdicts(fit)[0].reason
+    # what the drives say nothing of may lie there by chance
+    unknown = replace(fit, covariance=np.diag(fit.prior**2))
+    assert "bound" not in verdicts(unknown)[0].reason
     assert fit.values[fit.keys[0]] == pytest.approx(0.7)
 
 
