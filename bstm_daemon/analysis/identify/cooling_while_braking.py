@@ -174,10 +174,14 @@ class BrakedAxle:
         return (*speeds, top) if top > speeds[-1] else speeds
 
     @property
-    def beyond(self) -> float:
-        """Share of the time above the last configured speed."""
+    def beyond(self) -> tuple[float, float]:
+        """Share of the time above the table's last speed, and that [m/s].
+
+        The configured table's where none is found.
+        """
+        end_ms = self.table[-1][0] if self.table else self.disc.speeds_ms[-1]
         speed = np.concatenate([one.speed_ms for one in self.windows])
-        return float(np.mean(speed > self.disc.speeds_ms[-1]))
+        return float(np.mean(speed > end_ms)), end_ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,9 +227,9 @@ def identify_while_braking(
             "the resistances counts as braking"
         )
     remarks += [
-        beyond_words(axle.axle, axle.beyond, axle.disc.speeds_ms[-1])
+        beyond_words(axle.axle, *axle.beyond)
         for axle in axles
-        if axle.beyond > 0.0
+        if axle.beyond[0] > 0.0
     ]
     remarks.append(
         "heat and heat capacity cannot be separated: the factor on the heat "

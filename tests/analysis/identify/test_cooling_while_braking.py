@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,25 @@ def test_table_to_configure(found: BrakedAxle, example: Example) -> None:
         found.disc.s_per_s[0] / found.disc.s_per_s[1]
     )
     assert rest[1] > 0.0
+
+
+def test_what_is_faster_is_told_of_the_table_that_is_found(
+    found: BrakedAxle,
+) -> None:
+    """The line's end is a point of the table if it is beyond its last."""
+    top_ms = found.held_ms[1]
+    speeds_ms, s_per_s = found.disc.speeds_ms[:3], found.disc.s_per_s[:3]
+    disc = replace(found.disc, speeds_ms=speeds_ms, s_per_s=s_per_s)
+    short = replace(found, disc=disc)
+    speed = np.concatenate([one.speed_ms for one in found.windows])
+
+    share, end_ms = short.beyond
+
+    assert end_ms == top_ms > 10.0
+    assert share == np.mean(speed > top_ms)
+    assert share < 0.1 < np.mean(speed > 10.0)
+    vague = replace(short, covariance=1e3 * np.eye(2))
+    assert vague.beyond == (np.mean(speed > 10.0), 10.0)
 
 
 def test_too_little_is_said(
