@@ -68,7 +68,7 @@ def run(*, full: bool) -> Outcome:
         frames = write_frames(folder)
         rounds = [
             receive(frames, 20.0 if full else 6.0)
-            for _ in range(5 if full else 1)
+            for _ in range(5 if full else 3)
         ]
         starts = [
             start_time_s(folder / f"start{n}") for n in range(9 if full else 3)
