@@ -429,6 +429,21 @@ def test_subaru_accelerometer_of_the_dbc(cars: Callable[..., Car]) -> None:
     assert cars("subaru").faults == set()
 
 
+def test_subaru_yaw_rate_is_positive_to_the_left(
+    cars: Callable[..., Car],
+) -> None:
+    """It seems the other way round where the car reverses out of its place."""
+    car = cars("subaru")
+
+    for axle in ("front", "rear"):
+        pair = car.comparison(
+            f"{axle} wheels, right minus left, against yaw rate"
+        )
+        assert pair.verdict.startswith("agrees")
+        assert pair.fit is not None
+        assert pair.fit.scale == pytest.approx(1.3, abs=0.1)  # the track, m
+
+
 def test_subaru_130_km_h_without_braking(cars: Callable[..., Car]) -> None:
     """A pull and a cruise are no heat: one stop from a walk is all."""
     car = cars("subaru")
