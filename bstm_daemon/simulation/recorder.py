@@ -65,6 +65,7 @@ VEHICLE_SIGNALS: Final[dict[str, dict[str, str]]] = {
         "AmbientTemperature": "ambient_temperature",
         "RainIntensity": "rain",
     },
+    "Satellites": {"GnssSpeed": "gnss_speed"},
 }
 """Message and signal of the example DBC to the role it carries."""
 

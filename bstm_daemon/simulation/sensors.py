@@ -9,7 +9,7 @@ The presets ``n1`` (good) to ``n4`` (poor) set the errors of every channel.
 Thermocouples: white noise, drift with the junction's place, offset, lag.
 Vehicle signals: accelerometer noise, bias and body pitch; pressure offset,
 lag and quantum; wheel-speed quantum and the speed below which a wheel sensor
-sees no teeth; noise of the torque signal.
+sees no teeth; noise of the torque signal; lag and noise of satellite speed.
 """
 
 import zlib
@@ -219,6 +219,7 @@ def measured_roles(
             for lane, c in enumerate(CORNERS)
         },
         "vehicle_speed": v,
+        "gnss_speed": v,
         "primary_pressure": primary,
         "secondary_pressure": secondary,
         "acceleration_longitudinal": course.acceleration_ms2
@@ -285,6 +286,7 @@ class SensorPreset:
     wheel_speed_quantum_ms: float
     wheel_speed_dead_ms: float
     torque_noise: float
+    gnss_noise_ms: float
 
     def channels(self) -> dict[str, Channel]:
         """Return the channels by role, ``temp`` for all thermocouples."""
@@ -309,23 +311,27 @@ class SensorPreset:
             "vehicle_speed": speed,
             **{f"wheel_speed_{corner}": speed for corner in corners},
             "powertrain_torque": Channel(relative_noise=self.torque_noise),
+            # the receiver filters
+            "gnss_speed": Channel(lag_s=0.6, noise=self.gnss_noise_ms),
         }
 
 
 SENSOR_PRESETS: Final[dict[str, SensorPreset | None]] = {
     "none": None,
     "n1": SensorPreset(
-        Channel(noise=0.5), 0.02, 0.05, 0.0, 2e3, 0.01, 0.0, 0.01
+        *(Channel(noise=0.5), 0.02, 0.05, 0.0, 2e3, 0.01, 0.0, 0.01, 0.03)
     ),
     "n2": SensorPreset(
-        Channel(noise=1.0, drift=1.0), 0.05, 0.10, 0.03, 5e3, 0.03, 0.4, 0.02
+        Channel(noise=1.0, drift=1.0),
+        *(0.05, 0.10, 0.03, 5e3, 0.03, 0.4, 0.02, 0.05),
     ),
     "n3": SensorPreset(
         Channel(noise=2.0, drift=3.0, bias_sd=3.0, lag_s=5.0),
-        *(0.08, 0.15, 0.03, 1e4, 0.06, 0.4, 0.04),
+        *(0.08, 0.15, 0.03, 1e4, 0.06, 0.4, 0.04, 0.1),
     ),
     "n4": SensorPreset(
-        Channel(noise=5.0, drift=8.0), 0.12, 0.20, 0.03, 2e4, 0.06, 0.4, 0.06
+        Channel(noise=5.0, drift=8.0),
+        *(0.12, 0.20, 0.03, 2e4, 0.06, 0.4, 0.06, 0.2),
     ),
 }
 """Name to errors; ``none`` reads the truth."""

@@ -134,6 +134,11 @@ def _trusted(
     ]
     if not judged:
         return tuple(role for group in groups for role in group)
+    borne_out = [
+        group for group in judged if _accelerometer_follows(channels, group)
+    ]
+    if len(borne_out) == 1:
+        return borne_out[0]
     votes = [len({family(role) for role in group}) for group in judged]
     if votes.count(max(votes)) == 1:
         return judged[votes.index(max(votes))]
@@ -142,10 +147,7 @@ def _trusted(
         sizes = [len(group) for group in judged]
         if sizes.count(max(sizes)) == 1:
             return judged[sizes.index(max(sizes))]
-    borne_out = [
-        group for group in judged if _accelerometer_follows(channels, group)
-    ]
-    return borne_out[0] if len(borne_out) == 1 else None
+    return None
 
 
 def _accelerometer_follows(channels: Channels, group: tuple[str, ...]) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Container, Iterable
 from typing import Final
 
 from bstm_daemon.errors import LogError
-from bstm_daemon.roles import ROLES
+from bstm_daemon.roles import GROUND_SPEED_ROLES, ROLES
 
 INPUTS: Final = {
     "ff": ("speed", "pressure"),
@@ -35,7 +35,8 @@ def check_inputs(
     Raises:
         LogError: an input is missing.
     """
-    mapped = sorted(mapped)
+    # a speed over ground only checks
+    mapped = sorted(set(mapped).difference(GROUND_SPEED_ROLES))
     for name in names:
         own = [n for n in mapped if name in ROLES[n].quantities]
         if own and not any(n in seen for n in own):

@@ -90,7 +90,7 @@ def test_clean_drive_is_clean(clean: Recording, judged: Judge) -> None:
     assert [mode.usable for mode in quality.modes] == [True] * 4
     assert all(one.agrees is not False for one in quality.comparisons)
     agreed = [one for one in quality.comparisons if one.agrees]
-    assert len(agreed) == 19
+    assert len(agreed) == 20
     assert quality.not_judged == ()
 
 
@@ -174,10 +174,20 @@ def test_every_wheel_wrong_is_not_the_vehicle_speed(
 def test_every_speed_wrong_by_a_unit_is_not_the_accelerometer(
     clean: Recording, judged: Judge
 ) -> None:
-    quality = judged(changed(clean, **dict.fromkeys(SPEEDS, scaled(3.6))))
+    wrong = changed(clean, **dict.fromkeys(SPEEDS, scaled(3.6)))
+    quality = judged(without(wrong, "gnss_speed"))
 
     assert named(quality) == [("unit", SPEEDS)]
     assert not quality.usable
+
+
+def test_one_speed_with_the_accelerometer_is_right_against_five(
+    clean: Recording, judged: Judge
+) -> None:
+    """The vehicle's speed comes from the wheels: satellites do not."""
+    quality = judged(changed(clean, **dict.fromkeys(SPEEDS, scaled(3.6))))
+
+    assert named(quality) == [("unit", (role,)) for role in SPEEDS]
 
 
 def test_two_speeds_that_disagree_without_a_third_stay_undecided(
