@@ -20,7 +20,9 @@ EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 TRACK_M = 1.6
 WHEELBASE_M = 2.8
 NOISE = {
-    **{"wheel_speed": 0.01, "vehicle_speed": 0.01, "gnss_speed": 0.05},
+    "wheel_speed": 0.01,
+    "vehicle_speed": 0.01,
+    "gnss_speed": 0.05,
     "acceleration": 0.03,
 }
 
