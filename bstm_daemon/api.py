@@ -158,9 +158,7 @@ def match(
 
 
 def find_gap(
-    logs: Iterable[File],
-    vehicle: Vehicle,
-    holdout: Iterable[File] = (),
+    logs: Iterable[File], vehicle: Vehicle, holdout: Iterable[File] = ()
 ) -> list[Gap]:
     """Find the effect that a model lacks, as ``bstm gap run --anyway``.
 

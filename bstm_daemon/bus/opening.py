@@ -46,10 +46,7 @@ _PACKED: Final = (".blf", *_TEXTS)
 """Endings that ``.gz`` may follow, besides candump's."""
 _MESSAGES: Final = (".asc", ".blf", ".trc")
 _AIM: Final = (".xrk", ".xrz")
-_TABLES: Final = (
-    *(".tsv", ".vbo", ".parquet", ".h5", ".hdf5"),
-    *_AIM,
-)
+_TABLES: Final = (*(".tsv", ".vbo", ".parquet", ".h5", ".hdf5"), *_AIM)
 _EXPORTS: Final = {
     ".ld": "in MoTeC i2 export the data as CSV",
     ".drk": "in RaceStudio export the data as CSV",

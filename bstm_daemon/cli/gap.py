@@ -138,9 +138,7 @@ def _share_heap() -> None:
 
 
 def _by_temperatures(
-    command: LogCommand,
-    recordings: list[Recording],
-    held_out: list[Recording],
+    command: LogCommand, recordings: list[Recording], held_out: list[Recording]
 ) -> Found:
     """Search by thermocouples."""
     args, config = command.args, command.config
@@ -196,9 +194,7 @@ def _by_temperatures(
 
 
 def _by_forces(
-    command: LogCommand,
-    recordings: list[Recording],
-    held_out: list[Recording],
+    command: LogCommand, recordings: list[Recording], held_out: list[Recording]
 ) -> Found:
     """Search by pressure against motion."""
     step = command.args.step

@@ -10,12 +10,7 @@ import importlib
 import logging
 import os
 import sys
-from collections.abc import (
-    Collection,
-    Iterator,
-    MutableMapping,
-    Sequence,
-)
+from collections.abc import Collection, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, Final, NoReturn
 
@@ -144,10 +139,7 @@ def _main(argv: Sequence[str] | None) -> int:
 def _run(argv: list[str]) -> int:
     called = next((word for word in argv if not word.startswith("-")), "")
     args = _parse(argv, called)
-    from bstm_daemon.cli.arguments import (  # noqa: PLC0415  (after --help)
-        refuse_swapped,
-        require_extras,
-    )
+    from bstm_daemon.cli.arguments import refuse_swapped, require_extras  # noqa: PLC0415  (after --help)
 
     offset = getattr(args, "verbosity_offset", 0)
     _set_up_log(args.verbose - args.quiet + offset)

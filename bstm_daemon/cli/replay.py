@@ -30,10 +30,7 @@ from bstm_daemon.estimator.start import PUBLISHED_NODES
 from bstm_daemon.estimator.verified import unverified_of_car
 from bstm_daemon.files import make_folder
 from bstm_daemon.replay.columns import Run, StartState, stream_log
-from bstm_daemon.replay.frames import (
-    publications,
-    write_frames,
-)
+from bstm_daemon.replay.frames import publications, write_frames
 from bstm_daemon.replay.results import (
     WRITERS,
     Chosen,

@@ -69,10 +69,7 @@ def _bus(args: argparse.Namespace, config: Config | None) -> BusConfig:
             msg = f"{args.config}: has no [[bus]] to watch"
             raise ConfigError([msg])
         return config.bus[config.publishing_bus].model_copy(update=asked)
-    from can.util import (  # noqa: PLC0415  (slow, and not needed with -c)
-        load_environment_config,
-        load_file_config,
-    )
+    from can.util import load_environment_config, load_file_config  # noqa: PLC0415  (slow, and not needed with -c)
 
     own = {**load_file_config(), **load_environment_config()}
     fallback = {

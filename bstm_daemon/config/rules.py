@@ -20,10 +20,7 @@ from bstm_daemon.config.sections import (
 )
 from bstm_daemon.config.service import E2eConfig, PublishConfig
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
-from bstm_daemon.config.wording import (
-    problems_of_section,
-    toml_text,
-)
+from bstm_daemon.config.wording import problems_of_section, toml_text
 from bstm_daemon.errors import hint, nearest
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS

@@ -103,9 +103,7 @@ class _Numbers:
         return np.array(program.floats) if same else None
 
     def confirm(
-        self,
-        values: Mapping[str, float],
-        factors: npt.NDArray[np.float64],
+        self, values: Mapping[str, float], factors: npt.NDArray[np.float64]
     ) -> bool:
         """Whether the numbers at *values* are the nominal times *factors*."""
         built = self.at(values)

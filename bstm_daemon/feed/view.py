@@ -157,10 +157,7 @@ class _Events(_Handler):
 
 
 async def serve(
-    live: Live,
-    guard: Guard,
-    stop: asyncio.Event,
-    ready: Callable[[int], None],
+    live: Live, guard: Guard, stop: asyncio.Event, ready: Callable[[int], None]
 ) -> None:
     """Serve *live* until *stop* is set.
 

@@ -9,11 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import (
-    is_change,
-    name_of,
-    said_percent,
-)
+from bstm_daemon.analysis.gap.changes import is_change, name_of, said_percent
 from bstm_daemon.analysis.gap.evidence import NormalEquations
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.naming import Naming

@@ -29,10 +29,7 @@ from bstm_daemon.analysis.identify.writing import (
     write_changed,
 )
 from bstm_daemon.analysis.matching.changes import value_changes
-from bstm_daemon.analysis.matching.learned import (
-    settings_of,
-    short,
-)
+from bstm_daemon.analysis.matching.learned import settings_of, short
 from bstm_daemon.analysis.matching.tunables import (
     NODES_MS,
     TUNABLES,
@@ -232,10 +229,7 @@ def _best(
         min(probability, 1.0),
         *(one.strength, one.deviation, one.spread),
         {
-            cars[i].car: (
-                float(score[i, k] / g[i, k]),
-                float(g[i, k] ** -0.5),
-            )
+            cars[i].car: (float(score[i, k] / g[i, k]), float(g[i, k] ** -0.5))
             for i in members
             if g[i, k] > TINY
         },

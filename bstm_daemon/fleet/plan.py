@@ -225,10 +225,7 @@ def add_logs(
         ConfigError: a configuration has a problem.
     """
     make_folder(lake.root)
-    with (
-        closing(sqlite3.connect(lake.plan)) as database,
-        database,
-    ):
+    with closing(sqlite3.connect(lake.plan)) as database, database:
         for statement in _TABLE.split(";"):
             database.execute(statement)
         strange = []

@@ -64,11 +64,7 @@ def connect(
         BstmError: no scheduler or no worker answers.
     """
     from dask import config  # noqa: PLC0415  (an extra)
-    from distributed import (  # noqa: PLC0415
-        Client,
-        LocalCluster,
-        Security,
-    )
+    from distributed import Client, LocalCluster, Security  # noqa: PLC0415
     from distributed.utils import get_mp_context  # noqa: PLC0415
 
     if address is None:

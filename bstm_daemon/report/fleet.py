@@ -7,13 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from bstm_daemon.report.drive_statistics import VALIDITY_NAMES
-from bstm_daemon.report.plots import (
-    BLUE,
-    VERMILION,
-    Plot,
-    numbers,
-    plot,
-)
+from bstm_daemon.report.plots import BLUE, VERMILION, Plot, numbers, plot
 from bstm_daemon.report.replay_page import DASH
 from bstm_daemon.report.shell import Cell, Page, Section, Table
 from bstm_daemon.report.text import percent

@@ -120,9 +120,7 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     sections = [
         *(_force_section(one) for one in gap.curves),
         *candidate_sections(
-            words.answer_line(naming, "forces"),
-            naming,
-            force_lines(gap),
+            words.answer_line(naming, "forces"), naming, force_lines(gap)
         ),
         Section("visible in forces", lines=sight_lines(gap), folded=True),
     ]

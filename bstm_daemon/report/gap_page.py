@@ -234,11 +234,7 @@ def _tip(cell: Cell | None) -> str:
 def _naming_sections(
     naming: Naming, gap: Gap, remarks: Sequence[str]
 ) -> list[Section]:
-    lines = [
-        *remarks,
-        *words.naming_lines(naming),
-        *words.unnamed_lines(gap),
-    ]
+    lines = [*remarks, *words.naming_lines(naming), *words.unnamed_lines(gap)]
     if gap.silent:
         silent = ", ".join(map(name_of, gap.silent))
         lines.append(f"not excited by these drives: {silent}")

@@ -44,9 +44,7 @@ def write_json(path: Path, result: object, indent: int | None = 2) -> None:
         FileAccessError: *path* can not be written.
     """
     text = to_json(
-        result,
-        inf_nan_mode="null",
-        fallback=methodcaller("tolist"),
+        result, inf_nan_mode="null", fallback=methodcaller("tolist")
     )
     short = json.loads(text, parse_float=lambda x: float(f"{float(x):.10g}"))
     with replacing(path) as temporary:

@@ -14,13 +14,7 @@ from typing import Any, Final
 
 from bstm_daemon.report.drive_curves import DriveCurves, Trace
 from bstm_daemon.report.drive_statistics import CornerSummary, DriveSummary
-from bstm_daemon.report.plots import (
-    COLOURS,
-    GREY,
-    Plot,
-    stamp,
-    time_plot,
-)
+from bstm_daemon.report.plots import COLOURS, GREY, Plot, stamp, time_plot
 from bstm_daemon.report.timescale import clock
 
 Titled = tuple[str, Plot]

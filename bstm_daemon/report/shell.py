@@ -176,11 +176,7 @@ def require_page_packages() -> None:
 
 def template_environment() -> Environment:
     """Return what loads a template; it escapes all texts."""
-    from jinja2 import (  # noqa: PLC0415  (an extra)
-        Environment,
-        FileSystemLoader,
-        StrictUndefined,
-    )
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415  (an extra)
 
     return Environment(
         loader=FileSystemLoader(TEMPLATES),
@@ -263,9 +259,7 @@ def require_figure_packages() -> None:
     require_packages(
         "kaleido", "plotly", extra="figures", purpose="--figures DIR"
     )
-    from choreographer.browsers.chromium import (  # noqa: PLC0415  (an extra)
-        Chromium,
-    )
+    from choreographer.browsers.chromium import Chromium  # noqa: PLC0415  (an extra)
 
     if Chromium.find_browser(skip_local=False) is None:
         msg = (

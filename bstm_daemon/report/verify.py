@@ -210,11 +210,7 @@ def verify_page(
             "means over 30 s, the disc below 650 degC.",
             folded=True,
         ),
-        Section(
-            "Highest temperatures",
-            Table.of(PEAKS, errors),
-            folded=True,
-        ),
+        Section("Highest temperatures", Table.of(PEAKS, errors), folded=True),
     ]
     passed = all(one.passed for one in decisive(verdicts, required))
     lead = Cell(

@@ -56,9 +56,7 @@ class MetricsOutput:
         self._interval_us = round(config.interval_s * 1e6)
         if self._metrics is None and (file or self._port is not None):
             # prometheus-client is loaded by those who ask for metrics
-            from bstm_daemon.service.metrics import (  # noqa: PLC0415
-                StatusMetrics,
-            )
+            from bstm_daemon.service.metrics import StatusMetrics  # noqa: PLC0415
 
             self._metrics = StatusMetrics()
 
@@ -109,9 +107,7 @@ class MetricsOutput:
         if self._port is None or self._server is not None:
             return
         # an HTTP server is loaded by those who ask for a page
-        from bstm_daemon.service.metrics_server import (  # noqa: PLC0415
-            MetricsServer,
-        )
+        from bstm_daemon.service.metrics_server import MetricsServer  # noqa: PLC0415
 
         self._server = MetricsServer(self._port, metrics)
 

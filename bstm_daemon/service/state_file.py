@@ -255,9 +255,7 @@ def lock(path: Path) -> StateLock:
 
 
 def state_path(
-    configured: Path | str | None,
-    vehicle_id: str,
-    environ: Mapping[str, str],
+    configured: Path | str | None, vehicle_id: str, environ: Mapping[str, str]
 ) -> Path:
     """Return where the state of *vehicle_id* lies.
 

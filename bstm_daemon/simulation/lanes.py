@@ -171,10 +171,7 @@ class Lanes:
         self.drawn = np.zeros((self.count, DRAWN, len(PATH_NAMES)))
         for lane, corner in enumerate(corners):
             duct = DUCT.conductance_w_k * effects[lane].brake_duct
-            every = (
-                replace(DUCT, conductance_w_k=duct),
-                *corner.drawn_paths,
-            )
+            every = (replace(DUCT, conductance_w_k=duct), *corner.drawn_paths)
             for place, path in zip(self.drawn[lane], every, strict=False):
                 place[:] = [getattr(path, name) for name in PATH_NAMES]
         self.iron = p.disc_capacity_hot, p.iron_slope_j_kgk2

@@ -174,7 +174,7 @@ Axle = Literal["front", "rear"]
 
 _CAR_KEYS = {f.name for f in fields(CarParameters)} - {"front", "rear"}
 _CORNER_KEYS = {f.name for f in fields(CornerParameters)} - {
-    *("wheel_radius_m", "drawn_paths"),
+    *("wheel_radius_m", "drawn_paths")
 }
 
 

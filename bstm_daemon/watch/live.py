@@ -29,9 +29,7 @@ def link_of(bus: BusConfig, board: Board) -> Link:
     wanted = [(can_id, False) for can_id in board.ids]
     if bus.interface != "socketcan":
         return PortableLink(bus, wanted)
-    from bstm_daemon.bus.live.socketcan import (  # noqa: PLC0415  (Linux)
-        SocketcanLink,
-    )
+    from bstm_daemon.bus.live.socketcan import SocketcanLink  # noqa: PLC0415  (Linux)
 
     return SocketcanLink(bus, wanted)
 

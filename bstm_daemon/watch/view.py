@@ -22,8 +22,6 @@ def open_view(stream: TextIO) -> LineView:
         return LineView(stream)
     purpose = "the view on a terminal (| cat gives lines without it)"
     require_packages("rich", extra="terminal", purpose=purpose)
-    from bstm_daemon.watch.terminal import (  # noqa: PLC0415  (POSIX, rich)
-        TerminalView,
-    )
+    from bstm_daemon.watch.terminal import TerminalView  # noqa: PLC0415  (POSIX, rich)
 
     return TerminalView(stream, use_color=not os.environ.get("NO_COLOR"))

@@ -23,12 +23,7 @@ from bstm_daemon.analysis.quality.braking import (
 )
 from bstm_daemon.analysis.quality.channels import HALF, window_mean
 from bstm_daemon.analysis.quality.limits import GRID_S
-from bstm_daemon.analysis.statistics.series import (
-    Column,
-    Indices,
-    Mask,
-    runs,
-)
+from bstm_daemon.analysis.statistics.series import Column, Indices, Mask, runs
 from bstm_daemon.config.sections import Config
 from bstm_daemon.model.heat.feed_forward import PressureTorque
 from bstm_daemon.roles import CORNERS

@@ -139,9 +139,7 @@ def identify_cooling(drivings: Sequence[Driving], config: Config) -> Cooling:
     )
 
 
-def speed_groups(
-    downs: Sequence[CoolDown],
-) -> tuple[list[int], list[float]]:
+def speed_groups(downs: Sequence[CoolDown]) -> tuple[list[int], list[float]]:
     """Return the group of each of *downs* and each group's mean speed.
 
     Speeds that differ by no more than those within a cool-down are one group.

@@ -23,10 +23,7 @@ from bstm_daemon.analysis.quality.channels import (
 )
 from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
-from bstm_daemon.analysis.quality.limits import (
-    GRID_S,
-    MOVING_MS,
-)
+from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
 from bstm_daemon.analysis.quality.recording import Recording, read_recording
 from bstm_daemon.analysis.quality.speeds import compare_speeds
 from bstm_daemon.analysis.statistics.series import Column, Mask, running_mean

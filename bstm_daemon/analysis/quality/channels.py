@@ -140,10 +140,7 @@ class Channels:
     """
 
     def __init__(
-        self,
-        recording: Recording,
-        config: Config,
-        timeouts_us: Iterable[int],
+        self, recording: Recording, config: Config, timeouts_us: Iterable[int]
     ) -> None:
         """Put every role of *recording* on one grid."""
         self.config = config

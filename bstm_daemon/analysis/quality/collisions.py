@@ -12,11 +12,7 @@ from bstm_daemon.analysis.quality.finding import Notes
 from bstm_daemon.analysis.quality.recording import Recording
 from bstm_daemon.bus.opening import id_text, open_log, resolve_interfaces
 from bstm_daemon.bus.output.e2e import profile2_crc
-from bstm_daemon.bus.output.layout import (
-    BLOCK_IDS,
-    FRAME_BYTES,
-    data_id_list,
-)
+from bstm_daemon.bus.output.layout import BLOCK_IDS, FRAME_BYTES, data_id_list
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.sections import Config
 

@@ -51,9 +51,7 @@ Inputs = tuple[list[str], list[str], list[str]]
 
 
 def mode_verdicts(
-    config: Config,
-    roles: Sequence[RoleQuality],
-    findings: Sequence[Finding],
+    config: Config, roles: Sequence[RoleQuality], findings: Sequence[Finding]
 ) -> tuple[ModeVerdict, ...]:
     """Judge ff, fb, fused and measured, in this order."""
     judge = _Judge(config, roles, findings)
@@ -232,10 +230,7 @@ def _compare(channels: Channels, notes: Notes) -> None:
 
 
 def _roles(
-    recording: Recording,
-    config: Config,
-    signal_map: SignalMap,
-    notes: Notes,
+    recording: Recording, config: Config, signal_map: SignalMap, notes: Notes
 ) -> tuple[RoleQuality, ...]:
     keys = {
         output.role: (key, plan)

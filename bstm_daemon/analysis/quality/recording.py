@@ -276,9 +276,7 @@ def _longest_run(series: Series) -> Run:
     return _run(series, int(starts[longest]), int(ends[longest]))
 
 
-def _bounds(
-    series: Series,
-) -> tuple[Indices, Indices]:
+def _bounds(series: Series) -> tuple[Indices, Indices]:
     """Return first and last sample of each run of one value."""
     if not len(series):
         none = np.empty(0, np.intp)

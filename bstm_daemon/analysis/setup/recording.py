@@ -19,11 +19,7 @@ from cantools.database.can import Database, Message
 from bstm_daemon.analysis.setup.name_rules import NameMatch
 from bstm_daemon.bus.opening import NOT_READ, id_text, open_log
 from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
-from bstm_daemon.bus.signals.extraction import (
-    FD_LENGTHS,
-    Output,
-    frame_length,
-)
+from bstm_daemon.bus.signals.extraction import FD_LENGTHS, Output, frame_length
 from bstm_daemon.bus.signals.signal_map import MessageDraft, SignalMap
 from bstm_daemon.config.sections import BusConfig
 from bstm_daemon.errors import LogError

@@ -9,10 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from bstm_daemon.bus.signals.expression import (
-    evaluate,
-    signal_names,
-)
+from bstm_daemon.bus.signals.expression import evaluate, signal_names
 from bstm_daemon.bus.signals.extraction import (
     Condition,
     MessagePlan,

@@ -236,9 +236,7 @@ class TableReader:
             )
         if self.time.laps_joined:
             _log.info(
-                "laps joined",
-                log=str(self.path),
-                count=self.time.laps_joined,
+                "laps joined", log=str(self.path), count=self.time.laps_joined
             )
 
     def _why_empty(self) -> str:

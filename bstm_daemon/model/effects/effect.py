@@ -5,11 +5,7 @@ from dataclasses import replace
 from typing import ClassVar, Literal
 
 from bstm_daemon.config.sections import CornerConfig
-from bstm_daemon.model.effects.model import (
-    CornerModel,
-    InputModel,
-    Parameter,
-)
+from bstm_daemon.model.effects.model import CornerModel, InputModel, Parameter
 from bstm_daemon.model.thermal.network import Network
 
 Kind = Literal["thermal", "heat", "measurement"]

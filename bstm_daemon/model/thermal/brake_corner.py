@@ -424,9 +424,7 @@ def _speed_power(exponent: float) -> Factor:
     )
 
 
-def _constant_and_table(
-    quantity: float | Curve,
-) -> tuple[float, Table | None]:
+def _constant_and_table(quantity: float | Curve) -> tuple[float, Table | None]:
     if isinstance(quantity, float | int):
         return float(quantity), None
     return 1.0, curve_table(quantity)

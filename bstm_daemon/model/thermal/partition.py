@@ -4,9 +4,7 @@ from math import sqrt
 
 
 def effusivity(
-    conductivity_w_mk: float,
-    density_kg_m3: float,
-    heat_capacity_j_kgk: float,
+    conductivity_w_mk: float, density_kg_m3: float, heat_capacity_j_kgk: float
 ) -> float:
     """Thermal effusivity, Eq 2.4: sqrt(k rho cp) [W s^0.5 / (m2 K)]."""
     return sqrt(conductivity_w_mk * density_kg_m3 * heat_capacity_j_kgk)
@@ -76,10 +74,7 @@ def pad_flux_w_m2(  # noqa: PLR0913, PLR0917  (what Eq 4.13 has)
 
 
 def flux_ratio_at_radius(
-    radius_m: float,
-    inner_m: float,
-    outer_m: float,
-    pressure_distribution: str,
+    radius_m: float, inner_m: float, outer_m: float, pressure_distribution: str
 ) -> float:
     """Flux at *radius_m* over the pad's mean flux (sections 2.5.1, 4.5.1).
 

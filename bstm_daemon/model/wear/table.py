@@ -11,11 +11,7 @@ from bstm_daemon.model.wear.law import WearLaw
 
 Column = npt.NDArray[np.float64]
 
-WEAR_COLUMNS: Final = (
-    "pad_thickness_m",
-    "pad_thickness_std_m",
-    "disc_loss_m",
-)
+WEAR_COLUMNS: Final = ("pad_thickness_m", "pad_thickness_std_m", "disc_loss_m")
 """Columns of a corner, in the order of :func:`wear_table`."""
 
 
