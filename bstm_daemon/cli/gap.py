@@ -7,17 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from bstm_daemon.analysis.gap import workflow
 from bstm_daemon.analysis.gap.advising import MENU
 from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, read_recording
-from bstm_daemon.analysis.gap.workflow import (
-    STEPS,
-    Gap,
-    Question,
-    advise_before,
-    find_gap,
-    is_unmatched,
-)
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.coarse import check_mass
 from bstm_daemon.cli.arguments import option
@@ -25,11 +18,7 @@ from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.model.effects.catalogue import effect_names
-from bstm_daemon.model.heat.needs import (
-    INPUTS,
-    check_heat_inputs,
-    check_inputs,
-)
+from bstm_daemon.model.heat import needs
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.report import gap as words
 from bstm_daemon.report.gap_forces import force_json, force_page, force_text
@@ -63,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "whether anything is missing; name: which effect; adopt: fit it and "
         "write it into NEW.toml; show: before and after; advise: which drive "
         "of a menu would separate the remaining candidates",
-        choices=("run", *STEPS),
+        choices=("run", *workflow.STEPS),
     )
     what = "drives; a folder is a record that the service has kept"
     add_log_arguments(parser, what, nargs="*", new_config=True)
@@ -99,7 +88,7 @@ class Found(NamedTuple):
     subject: str
     lines: list[str]
     corners: list[dict[str, Any]]
-    gaps: Sequence[Gap | ForceGap]
+    gaps: Sequence[workflow.Gap | ForceGap]
     page: Callable[[str], Page]
     before: Sequence[str] = ()
     failed: bool = False
@@ -157,7 +146,7 @@ def _by_temperatures(
         raise LogError(msg)
     for one in (*recordings, *held_out):
         mode = config.heat.mode
-        check_heat_inputs(one.name, one.drive.roles, one.present, mode)
+        needs.check_heat_inputs(one.name, one.drive.roles, one.present, mode)
     until = "show" if args.step == "run" else args.step
     if args.form:
         matched = [m.model_copy(update={"form": {}}) for m in config.matched]
@@ -165,10 +154,10 @@ def _by_temperatures(
     unmatched = (
         until != "locate"
         and not args.anyway
-        and is_unmatched(config, recordings)
+        and workflow.is_unmatched(config, recordings)
     )
     with Progress("gap") as progress:
-        gaps = find_gap(
+        gaps = workflow.find_gap(
             config,
             recordings,
             held_out,
@@ -210,7 +199,7 @@ def _by_forces(
     what = "pressure against motion"
     for one in (*recordings, *held_out):
         have = one.drive.roles, one.present
-        check_inputs(one.name, *have, INPUTS["ff"], what)
+        needs.check_inputs(one.name, *have, needs.INPUTS["ff"], what)
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(command.config, recordings, held_out)
@@ -226,7 +215,7 @@ def _by_forces(
 def _before_any_drive(command: LogCommand) -> Found:
     """Advise by the model alone."""
     with Progress("gap") as progress:
-        gap = advise_before(
+        gap = workflow.advise_before(
             command.config,
             present_roles(command.signal_map),
             _question(command.args),
@@ -244,9 +233,9 @@ def _before_any_drive(command: LogCommand) -> Found:
     )
 
 
-def _question(args: argparse.Namespace) -> Question:
+def _question(args: argparse.Namespace) -> workflow.Question:
     """Return what is asked, each drive and effect once."""
-    return Question(
+    return workflow.Question(
         tuple(dict.fromkeys(args.menu)), tuple(dict.fromkeys(args.among))
     )
 

@@ -4,13 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
+from bstm_daemon.analysis.identify import heat_comparison
 from bstm_daemon.analysis.identify.driving import driving_of
-from bstm_daemon.analysis.identify.heat_comparison import (
-    HeatComparison,
-    StopFriction,
-    compare_heat,
-    stop_friction,
-)
 from bstm_daemon.analysis.quality.recording import read_recording
 from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
@@ -59,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _compared(
     command: LogCommand, log: Path
-) -> tuple[HeatComparison, StopFriction]:
+) -> tuple[heat_comparison.HeatComparison, heat_comparison.StopFriction]:
     config, signal_map = command.config, command.signal_map
     overrides = dict(command.args.map)
     fused = _fused(config)
@@ -83,14 +78,14 @@ def _compared(
                 progress=progress.part(begin, begin + share),
             )
             found.append(rows.results())
-    heat = compare_heat(
+    heat = heat_comparison.compare_heat(
         found[0], driving, config, None if fused is None else found[-1]
     )
     if not heat.power_w:
         why = "; ".join(heat.absent.values())
         msg = f"{log}: no source of brake heat: {why}"
         raise LogError(msg)
-    return heat, stop_friction(driving, config, heat)
+    return heat, heat_comparison.stop_friction(driving, config, heat)
 
 
 def _fused(config: Config) -> Config | None:

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from bstm_daemon.analysis.identify import writing
 from bstm_daemon.analysis.identify.brakes import identify_brakes
 from bstm_daemon.analysis.identify.coastdown import NAMES, identify_coast_down
 from bstm_daemon.analysis.identify.cooling import identify_cooling
@@ -11,14 +12,6 @@ from bstm_daemon.analysis.identify.cooling_while_braking import (
     identify_while_braking,
 )
 from bstm_daemon.analysis.identify.driving import read_drivings
-from bstm_daemon.analysis.identify.writing import (
-    Change,
-    brake_changes,
-    braked_changes,
-    coast_down_changes,
-    cooling_changes,
-    write_changed,
-)
 from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
@@ -40,7 +33,7 @@ class Kind(NamedTuple):
     text: Callable[[Any], str]
     page: Callable[[Any, str], Page]
     data: Callable[[Any], dict[str, Any]]
-    changes: Callable[[Any, Config], list[Change]]
+    changes: Callable[[Any, Config], list[writing.Change]]
 
 
 WHILE_BRAKING: Final = "cooling while braking"
@@ -50,28 +43,28 @@ KINDS: Final = {
         coastdown.coast_down_text,
         coastdown.coast_down_page,
         coastdown.coast_down_json,
-        lambda result, _: coast_down_changes(result),
+        lambda result, _: writing.coast_down_changes(result),
     ),
     "brakes": Kind(
         identify_brakes,
         brakes.brakes_text,
         brakes.brakes_page,
         brakes.brakes_json,
-        brake_changes,
+        writing.brake_changes,
     ),
     "cooling": Kind(
         identify_cooling,
         cooling.cooling_text,
         cooling.cooling_page,
         cooling.cooling_json,
-        lambda result, config: cooling_changes(result.axles, config),
+        lambda result, config: writing.cooling_changes(result.axles, config),
     ),
     WHILE_BRAKING: Kind(
         identify_while_braking,
         cooling.braked_text,
         cooling.braked_page,
         cooling.braked_json,
-        lambda result, config: braked_changes(result.axles, config),
+        lambda result, config: writing.braked_changes(result.axles, config),
     ),
 }
 
@@ -156,12 +149,12 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _write(
-    args: argparse.Namespace, changes: list[Change], origin: str
+    args: argparse.Namespace, changes: list[writing.Change], origin: str
 ) -> None:
     if not changes:
         print(f"{args.out}: not written, nothing was identified")
         return
-    write_changed(args.config, args.out, changes, origin)
+    writing.write_changed(args.config, args.out, changes, origin)
     print(f"{args.out}: {len(changes)} values")
     for change in changes:
         print(f"  {change}")

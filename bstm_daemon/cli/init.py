@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from bstm_daemon.analysis.setup import writing
 from bstm_daemon.analysis.setup.name_rules import name_matches, unit_matches
 from bstm_daemon.analysis.setup.proposal import Candidate, Proposal, propose
 from bstm_daemon.analysis.setup.recording import read_recording
@@ -10,12 +11,6 @@ from bstm_daemon.analysis.setup.table import (
     propose_for,
     read_table,
     table_notes,
-)
-from bstm_daemon.analysis.setup.writing import (
-    bus_section,
-    configuration_text,
-    notes_of,
-    table_section,
 )
 from bstm_daemon.bus.opening import is_table
 from bstm_daemon.bus.signals.dbc import read_dbc
@@ -86,16 +81,16 @@ def _from_dbc(args: argparse.Namespace) -> tuple[Proposal, str, list[str]]:
                 args.log, database, matches, progress.show
             )
     proposal = propose(database, recording)
-    notes = notes_of(recording) if recording else []
+    notes = writing.notes_of(recording) if recording else []
     dbc = args.dbc.resolve()
-    source = bus_section(
+    source = writing.bus_section(
         recording,
         dbc=dbc,
         folder=args.out.resolve().parent,
         strict=all(one.harmless for one in loaded.warnings),
         encoding=encoding,
     )
-    text = configuration_text(
+    text = writing.configuration_text(
         proposal, recording, origin=dbc, source=source, notes=notes
     )
     warnings = [f"{args.dbc}: {warning}" for warning in loaded.warnings]
@@ -115,11 +110,11 @@ def _from_table(logs: list[Path]) -> tuple[Proposal, str, list[str]]:
         table = read_table(logs, progress.show)
     proposal = propose_for(table)
     notes = table_notes(table, proposal)
-    text = configuration_text(
+    text = writing.configuration_text(
         proposal,
         table.recording,
         origin=logs[0],
-        source=table_section(table.time),
+        source=writing.table_section(table.time),
         notes=notes,
         columns=table.columns,
     )

@@ -10,33 +10,21 @@ from pathlib import Path
 from bstm_daemon.cli.arguments import PORT, add_config, option
 from bstm_daemon.errors import UsageError
 from bstm_daemon.files import shipped_file
-from bstm_daemon.service.unit_files import (
-    COMPANIONS,
-    CONFIG_FOLDER,
-    DEFAULT_CONFIG,
-    UNIT_FOLDER,
-    ServiceUnit,
-    UnitFile,
-    obstacles,
-    program_command,
-    program_places,
-    refuse_hidden,
-    require_plain,
-)
+from bstm_daemon.service import unit_files
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is installed, where, and ``--dry-run``."""
-    what = f"configuration of the vehicle; default {DEFAULT_CONFIG}"
+    what = f"configuration of the vehicle; default {unit_files.DEFAULT_CONFIG}"
     add_config(parser, what)
     option(
         parser,
         "--instance NAME",
         "install bstm@.service, of which bstm@NAME reads "
-        f"{CONFIG_FOLDER}/NAME.toml: for several cars or buses",
+        f"{unit_files.CONFIG_FOLDER}/NAME.toml: for several cars or buses",
     )
-    what = f"folder of the units; default {UNIT_FOLDER}"
-    option(parser, "-o --out DIR", what, Path, default=UNIT_FOLDER)
+    what = f"folder of the units; default {unit_files.UNIT_FOLDER}"
+    option(parser, "-o --out DIR", what, Path, default=unit_files.UNIT_FOLDER)
     what = "add the drop-in that serves metrics on 127.0.0.1:PORT"
     option(parser, "--metrics-port PORT", what, PORT)
     option(
@@ -45,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "add the unit of the live page or of the MQTT bridge; may be repeated",
         dest="companions",
         action="append",
-        choices=COMPANIONS,
+        choices=unit_files.COMPANIONS,
         default=[],
     )
     option(parser, "--force", "replace existing units that differ")
@@ -54,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the units and print the next steps."""
-    refuse_hidden(program_places())
-    unit = ServiceUnit(
-        program_command(Path(sys.executable)),
+    unit_files.refuse_hidden(unit_files.program_places())
+    unit = unit_files.ServiceUnit(
+        unit_files.program_command(Path(sys.executable)),
         _config(args.config, args.instance),
         args.instance,
         args.metrics_port,
@@ -75,28 +63,29 @@ def run(args: argparse.Namespace) -> int:
 def _config(asked: Path | None, instance: str | None) -> Path:
     """Return the configuration of the unit, which the service must see."""
     if asked is None:
-        path = DEFAULT_CONFIG
+        path = unit_files.DEFAULT_CONFIG
         if instance is not None:
-            path = CONFIG_FOLDER / f"{instance}.toml"
+            path = unit_files.CONFIG_FOLDER / f"{instance}.toml"
     elif instance is not None:
         msg = (
             "--config and --instance: an instance reads "
-            f"{CONFIG_FOLDER}/{instance}.toml, put the configuration there"
+            f"{unit_files.CONFIG_FOLDER}/{instance}.toml, put the "
+            "configuration there"
         )
         raise UsageError(msg)
     else:
-        path = require_plain(asked)
-    found = obstacles([path])
+        path = unit_files.require_plain(asked)
+    found = unit_files.obstacles([path])
     if found:
         msg = (
             f"{path}: the service could not read it: {'; '.join(found)}. Put "
-            f"configuration and DBC files into {CONFIG_FOLDER}"
+            f"configuration and DBC files into {unit_files.CONFIG_FOLDER}"
         )
         raise UsageError(msg)
     return path
 
 
-def _write(files: list[UnitFile], *, force: bool) -> None:
+def _write(files: list[unit_files.UnitFile], *, force: bool) -> None:
     """Write all *files*, or none where one must not be replaced."""
     for file in files:
         if file.path.exists() and not file.is_there() and not force:
@@ -110,7 +99,7 @@ def _write(files: list[UnitFile], *, force: bool) -> None:
         print(f"{done} {file.path}")
 
 
-def _print_next_steps(unit: ServiceUnit) -> None:
+def _print_next_steps(unit: unit_files.ServiceUnit) -> None:
     examples = shipped_file("systemd/README.md").parent
     print("\nNext:")
     if not unit.config.exists():

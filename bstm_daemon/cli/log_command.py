@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bstm_daemon.bus.signals.signal_map import SignalMap
-from bstm_daemon.cli.arguments import (
-    add_new_config,
-    check_new,
-    check_targets,
-    option,
-    shared,
-)
+from bstm_daemon.cli import arguments
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.sections import Config
 from bstm_daemon.report.json_file import write_json
@@ -35,11 +29,11 @@ def add_log_arguments(
 
     With *new_config* also ``-o NEW.toml`` and ``--force``.
     """
-    option(parser, "logs LOG...", what, Path, nargs=nargs)
-    shared(parser, "config")
+    arguments.option(parser, "logs LOG...", what, Path, nargs=nargs)
+    arguments.shared(parser, "config")
     if new_config:
-        add_new_config(parser)
-    shared(parser, "json", "report", "figures", "map")
+        arguments.add_new_config(parser)
+    arguments.shared(parser, "json", "report", "figures", "map")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +59,9 @@ class LogCommand:
         """
         out = getattr(args, "out", None)
         if out is not None:
-            check_new(out, force=args.force)
+            arguments.check_new(out, force=args.force)
         sources = (args.config, *args.logs, *further)
-        check_targets((out, args.json, args.report), sources)
+        arguments.check_targets((out, args.json, args.report), sources)
         return cls(args, *load_vehicle(args.config))
 
     @property

@@ -14,14 +14,7 @@ from collections.abc import Collection, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, Final, NoReturn
 
-from bstm_daemon import __version__
-from bstm_daemon.errors import (
-    BstmError,
-    ConfigError,
-    FileAccessError,
-    hint,
-    nearest,
-)
+from bstm_daemon import __version__, errors
 from bstm_daemon.watch.terminal_text import raw_stream, visible, visible_stream
 
 # matrices here are small: for so little, threads cost ten times what they do
@@ -77,7 +70,7 @@ class Parser(argparse.ArgumentParser):
         finally:
             self._is_mixing = False
         if rest:
-            meant = nearest(rest[0], self._option_string_actions)
+            meant = errors.nearest(rest[0], self._option_string_actions)
             tail = f": did you mean '{meant}'?" if meant else ""
             self.error(f"unrecognized arguments: {' '.join(rest)}{tail}")
         return parsed, rest
@@ -94,7 +87,9 @@ class Parser(argparse.ArgumentParser):
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
-        message = f"no {value!r}: {hint(str(value), known, ', '.join(known))}"
+        message = (
+            f"no {value!r}: {errors.hint(str(value), known, ', '.join(known))}"
+        )
         raise argparse.ArgumentError(action, message)
 
     def error(self, message: str) -> NoReturn:
@@ -130,9 +125,9 @@ def _main(argv: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except (BstmError, OSError) as error:
+    except (errors.BstmError, OSError) as error:
         print(_worded(error), file=sys.stderr)
-        return getattr(error, "exit_code", FileAccessError.exit_code)
+        return getattr(error, "exit_code", errors.FileAccessError.exit_code)
     return code
 
 
@@ -149,11 +144,11 @@ def _run(argv: list[str]) -> int:
     return code
 
 
-def _worded(error: BstmError | OSError) -> str:
-    if isinstance(error, ConfigError):
+def _worded(error: errors.BstmError | OSError) -> str:
+    if isinstance(error, errors.ConfigError):
         count = len(error.problems)
         return f"{error}\n{count} problems" if count > 1 else str(error)
-    if isinstance(error, BstmError):
+    if isinstance(error, errors.BstmError):
         return f"bstm: {error}"
     place = f"{error.filename}: " if error.filename else ""
     return f"bstm: {place}{error.strerror or error}"

@@ -5,15 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from bstm_daemon.analysis.matching import verification
 from bstm_daemon.analysis.matching.drives import Drive, read_drive, read_drives
-from bstm_daemon.analysis.matching.verification import (
-    LIMITS,
-    NodeErrors,
-    decisive,
-    errors_of,
-    held_against,
-    judged,
-)
 from bstm_daemon.cli.arguments import option
 from bstm_daemon.cli.log_command import LogCommand, add_log_arguments
 from bstm_daemon.cli.progress import Progress
@@ -32,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "which limits decide the exit code (default %(default)s): fluid "
         "within 30 K and its peak within 5 min; floor and goal are narrower "
         "and include disc, pad and drift",
-        choices=tuple(LIMITS),
+        choices=tuple(verification.LIMITS),
         default="thesis",
     )
     option(
@@ -48,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """Judge, print and write; 1 where a limit is not met."""
     command = LogCommand.opened(args, *args.matched_on)
     config = command.config
-    verified: list[tuple[Drive, list[NodeErrors]]] = []
+    verified: list[tuple[Drive, list[verification.NodeErrors]]] = []
     learned = None
     for log in args.logs:
         with Progress(f"verify {log.name}") as progress:
@@ -60,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
                 learned=learned,
             )
             learned = drive.learned
-        found = errors_of(drive, config)
+        found = verification.errors_of(drive, config)
         if not found:
             msg = (
                 f"{log}: no measured temperature of a disc brake to verify: "
@@ -70,10 +63,14 @@ def run(args: argparse.Namespace) -> int:
         verified.append((replace(drive, estimates=None), found))
     errors = [one for _, found in verified for one in found]
     matched_on = command.read(read_drives, args.matched_on)
-    verdicts = judged(errors) + held_against(verified, matched_on)
+    verdicts = verification.judged(errors) + verification.held_against(
+        verified, matched_on
+    )
     print(command.heading(command.names))
     print(verify_text(errors, verdicts))
-    passed = all(one.passed for one in decisive(verdicts, args.require))
+    passed = all(
+        one.passed for one in verification.decisive(verdicts, args.require)
+    )
     for line in command.written(
         lambda: {
             "files": command.files,

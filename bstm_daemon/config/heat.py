@@ -4,12 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Final, Literal, Protocol
 
-from bstm_daemon.config.section import (
-    NotNegative,
-    Positive,
-    Section,
-    check_curve,
-)
+from bstm_daemon.config import section
 from bstm_daemon.roles import CORNERS
 
 AUTOMATIC: Final = ("fused", "ff", "fb")
@@ -34,36 +29,36 @@ class WheelBrake(Protocol):
         """Primary or secondary."""
 
 
-class HeatConfig(Section):
+class HeatConfig(section.Section):
     """``[heat]``: which brake power heats the model, and how it is formed."""
 
     mode: Literal["auto", "ff", "fb", "fused", "measured"] = "auto"
     """Feed-Forward (pressure), Feed-Back (motion), both with the vehicle
     learned, or measured temperatures; `auto`: the first of `fused`, `ff`, `fb`
     that has what it needs, as `bstm check` shows"""
-    brake_on_pressure_pa: NotNegative = 1.0e5
+    brake_on_pressure_pa: section.NotNegative = 1.0e5
     """pressure above which the brake counts as on"""
-    brake_on_force_n: NotNegative = 300.0
+    brake_on_force_n: section.NotNegative = 300.0
     """brake force above which it counts as on without a pressure"""
-    primary_lag_s: NotNegative = 0.0
+    primary_lag_s: section.NotNegative = 0.0
     """delay of wheel pressure behind the primary signal"""
-    secondary_lag_s: NotNegative = 0.0
+    secondary_lag_s: section.NotNegative = 0.0
     """the same for corners of the secondary circuit"""
-    derivative_filter_s: Positive = 0.3
+    derivative_filter_s: section.Positive = 0.3
     """time constant of the speed's derivative"""
     slope: Literal["accelerometer", "flat"] = "accelerometer"
     """road grade from the accelerometer if it is there, else none"""
     assume_powertrain_torque_nm: float | None = None
     """torque at the wheels while `powertrain_torque` is absent: a declared
     assumption, 0.0 = coasting"""
-    front_pressure_pa: list[NotNegative] = []
+    front_pressure_pa: list[section.NotNegative] = []
     """front pressure of a proportioning valve's table, rising"""
-    rear_pressure_pa: list[NotNegative] = []
+    rear_pressure_pa: list[section.NotNegative] = []
     """rear pressure at each `front_pressure_pa`; empty = equal"""
 
     def _check(self) -> None:
         if self.front_pressure_pa or self.rear_pressure_pa:
-            check_curve(
+            section.check_curve(
                 self.front_pressure_pa,
                 self.rear_pressure_pa,
                 "front_pressure_pa",

@@ -14,13 +14,8 @@ from typing import Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 
+from bstm_daemon.config import limits
 from bstm_daemon.config.csv_tables import put_csv_tables
-from bstm_daemon.config.limits import (
-    TOML_BYTES,
-    TOML_DEPTH,
-    TOML_INTEGER_BITS,
-    read_limited,
-)
 from bstm_daemon.config.rules import Draft, problems_between
 from bstm_daemon.config.section import Section
 from bstm_daemon.config.sections import Config
@@ -31,8 +26,8 @@ S = TypeVar("S", bound="Section")
 
 _REQUIRED: Final = ("vehicle", "bus", "signals", "corner")
 _WITHOUT_DEFAULTS: Final = ("vehicle", "table")
-_TOO_DEEP: Final = f"tables and lists nested deeper than {TOML_DEPTH}"
-_TOO_LARGE: Final = f"an integer of more than {TOML_INTEGER_BITS} bits"
+_TOO_DEEP: Final = f"tables and lists nested deeper than {limits.TOML_DEPTH}"
+_TOO_LARGE: Final = f"an integer of more than {limits.TOML_INTEGER_BITS} bits"
 _POSITION: Final = re.compile(r"(.*) \(at (.*)\)$", re.DOTALL)
 
 
@@ -140,7 +135,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: it is no TOML, or beyond the limits.
     """
     try:
-        text = read_limited(path, TOML_BYTES).decode("utf-8")
+        text = limits.read_limited(path, limits.TOML_BYTES).decode("utf-8")
     except OSError as error:
         msg = f"{path}: {error.strerror}, give a readable configuration file"
         raise FileAccessError(msg) from error
@@ -167,7 +162,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def _require_limits(document: dict[str, Any]) -> None:
     """Refuse what is nested too deep and integers that are too large."""
     level: list[tuple[str, Any]] = list(document.items())
-    for _ in range(TOML_DEPTH):
+    for _ in range(limits.TOML_DEPTH):
         inner: list[tuple[str, Any]] = []
         for place, value in level:
             if isinstance(value, dict):
@@ -176,7 +171,7 @@ def _require_limits(document: dict[str, Any]) -> None:
                 inner += ((f"{place}[{k}]", v) for k, v in enumerate(value))
             elif (
                 isinstance(value, int)
-                and value.bit_length() > TOML_INTEGER_BITS
+                and value.bit_length() > limits.TOML_INTEGER_BITS
             ):
                 raise ConfigError([f"{place}: {_TOO_LARGE}"])
         level = inner

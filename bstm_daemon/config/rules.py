@@ -10,14 +10,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from bstm_daemon.config import sections
 from bstm_daemon.config.heat import HeatConfig, heat_mode_problems
-from bstm_daemon.config.sections import (
-    BusConfig,
-    CornerConfig,
-    EffectConfig,
-    SignalConfig,
-    VehicleConfig,
-)
 from bstm_daemon.config.service import E2eConfig, PublishConfig
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.config.wording import problems_of_section, toml_text
@@ -36,14 +30,14 @@ class Draft:
     """
 
     document: Table
-    vehicle: VehicleConfig | None = None
-    bus: list[BusConfig] = field(default_factory=list)
-    signals: dict[str, SignalConfig] = field(default_factory=dict)
-    corner: list[CornerConfig] = field(default_factory=list)
+    vehicle: sections.VehicleConfig | None = None
+    bus: list[sections.BusConfig] = field(default_factory=list)
+    signals: dict[str, sections.SignalConfig] = field(default_factory=dict)
+    corner: list[sections.CornerConfig] = field(default_factory=list)
     thermal: ThermalConfig | None = None
     cooling: CoolingConfig | None = None
     heat: HeatConfig | None = None
-    effect: list[EffectConfig] = field(default_factory=list)
+    effect: list[sections.EffectConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
     e2e: list[E2eConfig] = field(default_factory=list)
 
@@ -101,7 +95,7 @@ def problems_between(draft: Draft) -> list[str]:
     ]
 
 
-def usable_signals(draft: Draft) -> dict[str, SignalConfig]:
+def usable_signals(draft: Draft) -> dict[str, sections.SignalConfig]:
     """Return the signals of frames without a problem, nor their bus."""
     buses = {bus.name for bus in draft.bus}
     default = next(iter(draft.bus_names()), None)
@@ -195,7 +189,7 @@ def _twice(names: Iterable[str]) -> Iterator[str]:
         seen.add(name)
 
 
-def _bus_problems(buses: list[BusConfig]) -> Iterator[str]:
+def _bus_problems(buses: list[sections.BusConfig]) -> Iterator[str]:
     for name in _twice(bus.name for bus in buses):
         yield f"[[bus]] {name} name: given twice, names must differ"
     owners: dict[tuple[str, str], str] = {}

@@ -11,16 +11,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from bstm_daemon.config.estimates import (
-    AccuracyConfig,
-    AdviceConfig,
-    ChangeConfig,
-    FluidConfig,
-    ForecastConfig,
-    MatchedConfig,
-    PriorsConfig,
-    WearConfig,
-)
+from bstm_daemon.config import estimates, service
 from bstm_daemon.config.heat import HeatConfig, automatic_mode
 from bstm_daemon.config.section import (
     Curve,
@@ -31,15 +22,6 @@ from bstm_daemon.config.section import (
     Text,
     require,
     with_piston_area,
-)
-from bstm_daemon.config.service import (
-    DaemonConfig,
-    E2eConfig,
-    FeedConfig,
-    MetricsConfig,
-    PublishConfig,
-    RecordConfig,
-    StateConfig,
 )
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.units import KELVIN_OFFSET
@@ -450,23 +432,23 @@ class Config(Section):
     corner: list[CornerConfig]
     thermal: ThermalConfig = ThermalConfig()
     cooling: CoolingConfig = CoolingConfig()
-    accuracy: AccuracyConfig = AccuracyConfig()
-    matched: list[MatchedConfig] = []
-    priors: list[PriorsConfig] = []
+    accuracy: estimates.AccuracyConfig = estimates.AccuracyConfig()
+    matched: list[estimates.MatchedConfig] = []
+    priors: list[estimates.PriorsConfig] = []
     heat: HeatConfig = HeatConfig()
-    fluid: FluidConfig = FluidConfig()
-    wear: WearConfig = WearConfig()
-    forecast: ForecastConfig = ForecastConfig()
+    fluid: estimates.FluidConfig = estimates.FluidConfig()
+    wear: estimates.WearConfig = estimates.WearConfig()
+    forecast: estimates.ForecastConfig = estimates.ForecastConfig()
     effect: list[EffectConfig] = []
-    change: list[ChangeConfig] = []
-    publish: PublishConfig = PublishConfig()
-    advice: AdviceConfig = AdviceConfig()
-    e2e: list[E2eConfig] = []
-    state: StateConfig = StateConfig()
-    daemon: DaemonConfig = DaemonConfig()
-    record: RecordConfig = RecordConfig()
-    metrics: MetricsConfig = MetricsConfig()
-    feed: FeedConfig = FeedConfig()
+    change: list[estimates.ChangeConfig] = []
+    publish: service.PublishConfig = service.PublishConfig()
+    advice: estimates.AdviceConfig = estimates.AdviceConfig()
+    e2e: list[service.E2eConfig] = []
+    state: service.StateConfig = service.StateConfig()
+    daemon: service.DaemonConfig = service.DaemonConfig()
+    record: service.RecordConfig = service.RecordConfig()
+    metrics: service.MetricsConfig = service.MetricsConfig()
+    feed: service.FeedConfig = service.FeedConfig()
 
     @property
     def publishing_bus(self) -> int:
@@ -489,7 +471,7 @@ class Config(Section):
         """Merge ``[cooling]`` with the overrides of *corner*."""
         return CoolingConfig(**{**self.cooling.model_dump(), **corner.cooling})
 
-    def matched_of(self, corner: str) -> MatchedConfig | None:
+    def matched_of(self, corner: str) -> estimates.MatchedConfig | None:
         """Return what the match of *corner* learned, None without one."""
         return next(
             (one for one in self.matched if corner in one.corners), None

@@ -37,12 +37,7 @@ from bstm_daemon.replay.results import (
     is_one_of_few,
 )
 from bstm_daemon.replay.vehicle import load_vehicle
-from bstm_daemon.report.drive_statistics import (
-    SUMMARY_NODES,
-    VALIDITY_NAMES,
-    CornerSummary,
-    DriveStatistics,
-)
+from bstm_daemon.report import drive_statistics
 from bstm_daemon.service import state_file
 
 MADE: Final = 0
@@ -56,10 +51,10 @@ RISKS: Final = ("risk", "risk_start_known")
 """The highest of a drive, and of the time in which its start has no effect."""
 
 _CORNER_NUMBERS: Final = (
-    *(f"{node}_peak_c" for node in SUMMARY_NODES),
+    *(f"{node}_peak_c" for node in drive_statistics.SUMMARY_NODES),
     *("margin_k", "brake_energy_j"),
     *RISKS,
-    *VALIDITY_NAMES,
+    *drive_statistics.VALIDITY_NAMES,
     *WEAR_COLUMNS,
 )
 LEARNED: Final = ("mass_kg", "friction_scale", "drag_scale", "accel_bias_ms2")
@@ -217,7 +212,7 @@ def _make(lake: Lake, job: Job) -> int:
     estimates, row, state = lake.files(drive)
     make_folder(estimates.parent)
     make_folder(row.parent)
-    statistics = DriveStatistics()
+    statistics = drive_statistics.DriveStatistics()
     extremes = _Extremes(forecast=job.options.forecast)
     with WRITERS["parquet"](estimates) as table:
         run = stream_log(
@@ -275,7 +270,7 @@ class _Extremes:
 
 def _row(
     drive: Drive,
-    statistics: DriveStatistics,
+    statistics: drive_statistics.DriveStatistics,
     rows: _Extremes,
     run: Run,
     *,
@@ -306,7 +301,9 @@ def _row(
     }
 
 
-def _corner(one: CornerSummary, rows: _Extremes) -> dict[str, Any]:
+def _corner(
+    one: drive_statistics.CornerSummary, rows: _Extremes
+) -> dict[str, Any]:
     peaks = {
         f"{node}_peak_c": peak.temperature_c
         for node, peak in one.peaks.items()
@@ -318,7 +315,7 @@ def _corner(one: CornerSummary, rows: _Extremes) -> dict[str, Any]:
             n: _number(rows.last.get(f"{one.corner}.{n}"))
             for n in WEAR_COLUMNS
         },
-        **dict(zip(VALIDITY_NAMES, shares, strict=True)),
+        **dict(zip(drive_statistics.VALIDITY_NAMES, shares, strict=True)),
         **peaks,
         "corner": one.corner,
         "fluid_peak_validity": fluid.validity if fluid else None,

@@ -19,17 +19,11 @@ from typing import Annotated, Final, NamedTuple
 
 from pydantic import Field
 
+from bstm_daemon import errors
 from bstm_daemon.bus.opening import EventLog
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.reading import load_section, naming_file, read_toml
 from bstm_daemon.config.section import Section, Text, require
-from bstm_daemon.errors import (
-    BstmError,
-    ConfigError,
-    FileAccessError,
-    LogError,
-    UsageError,
-)
 from bstm_daemon.files import make_folder
 from bstm_daemon.fleet.lake import Drive, Lake
 from bstm_daemon.replay.vehicle import load_vehicle
@@ -112,7 +106,7 @@ class Fleet:
         with naming_file(path):
             if "corner" in read_toml(path):
                 msg = "this is the configuration of one car, no FLEET.toml"
-                raise ConfigError([f"{msg}, which lists [[vehicle]]"])
+                raise errors.ConfigError([f"{msg}, which lists [[vehicle]]"])
         self._vehicles = load_section(path, FleetFile).vehicle
 
     def assign(self, log: Path) -> Assignment | None:
@@ -157,7 +151,7 @@ class Plan:
         """
         if not lake.plan.is_file():
             msg = f"{lake.plan}: no plan: make it with 'bstm fleet plan'"
-            raise FileAccessError(msg)
+            raise errors.FileAccessError(msg)
         self._database = sqlite3.connect(lake.plan)
 
     def __len__(self) -> int:
@@ -250,7 +244,7 @@ def _refuse(what: str, found: list[str]) -> None:
     if found:
         more = f" and {len(found) - _SHOWN} more" * (len(found) > _SHOWN)
         msg = f"{what}: {'; '.join(found[:_SHOWN])}{more}"
-        raise UsageError(msg)
+        raise errors.UsageError(msg)
 
 
 def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
@@ -258,7 +252,7 @@ def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
     for path in paths:
         if not path.exists():
             msg = f"{path}: No such file or directory"
-            raise FileAccessError(msg)
+            raise errors.FileAccessError(msg)
         if not path.is_dir():
             yield path.resolve(), True
             continue
@@ -321,9 +315,9 @@ def _begin(path: Path, assigned: Assignment) -> tuple[int, str | None]:
             if len(events.time_us):
                 return int(events.time_us[0]), None
         problem = f"{path}: no sample"
-    except (LogError, FileAccessError) as error:
+    except (errors.LogError, errors.FileAccessError) as error:
         problem = str(error)
-    except BstmError:
+    except errors.BstmError:
         raise
     except Exception as error:  # noqa: BLE001  (a log may hold anything)
         problem = f"{path}: {type(error).__name__}: {error}"

@@ -15,20 +15,8 @@ from bstm_daemon.analysis.quality.finding import (
 from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.quality.recording import ChannelStatistics
 from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.report import plots
 from bstm_daemon.report.json_file import own_fields, picked
-from bstm_daemon.report.plots import (
-    BLUE,
-    CLOUD_POINTS,
-    ORANGE,
-    VERMILION,
-    Plot,
-    cloud,
-    curve,
-    plot,
-    right_axis,
-    stamp,
-    time_plot,
-)
 from bstm_daemon.report.shell import Cell, Page, Section, Table
 from bstm_daemon.report.text import columns, percent, wrapped
 from bstm_daemon.report.timescale import duration
@@ -316,7 +304,7 @@ def _channels(roles: Sequence[RoleQuality]) -> Section:
 
 def comparison_plots(
     comparison: Comparison, duration_s: float
-) -> list[tuple[str, Plot]]:
+) -> list[tuple[str, plots.Plot]]:
     """Return both channels over time, then one over the other."""
     unit, unit_si = comparison.reference_scale
     reference = comparison.reference / unit_si
@@ -326,14 +314,16 @@ def comparison_plots(
     other = f"{comparison.channel_name} [{comparison.unit}]"
     time_s = comparison.time_s
     curves = [
-        curve(time_s, reference, name, BLUE, width=2.2),
-        curve(time_s, channel, other, ORANGE, width=1.3, second=own_axis),
+        plots.curve(time_s, reference, name, plots.BLUE, width=2.2),
+        plots.curve(
+            time_s, channel, other, plots.ORANGE, width=1.3, second=own_axis
+        ),
     ]
     changes: dict[str, Any] = {}
     if own_axis:
-        right = right_axis(comparison.unit)
+        right = plots.right_axis(comparison.unit)
         changes["yaxis2"] = right | {"rangemode": "normal"}
-    over_time = time_plot(
+    over_time = plots.time_plot(
         curves,
         unit,
         (0.0, duration_s),
@@ -342,7 +332,7 @@ def comparison_plots(
         **changes,
     )
     points = _scatter(comparison, reference, channel)
-    beside = plot(points, name, _short(comparison.channel_name))
+    beside = plots.plot(points, name, _short(comparison.channel_name))
     return [("over time", over_time), ("one over the other", beside)]
 
 
@@ -359,13 +349,15 @@ def _scatter(
     # spread over the reference, not over time: hours of standing are one dot
     order = both[np.argsort(reference[both], kind="stable")]
     rank = np.linspace(
-        reference[order[0]], reference[order[-1]], CLOUD_POINTS // 4 * 3
+        reference[order[0]], reference[order[-1]], plots.CLOUD_POINTS // 4 * 3
     )
     by_value = np.searchsorted(reference[order], rank).clip(0, len(order) - 1)
-    evenly = np.linspace(0, len(order) - 1, CLOUD_POINTS // 4).astype(int)
+    evenly = np.linspace(0, len(order) - 1, plots.CLOUD_POINTS // 4).astype(
+        int
+    )
     chosen = order[np.unique(np.concatenate((by_value, evenly)))]
     x, y = reference[chosen], channel[chosen]
-    found = [cloud(x, y, "", BLUE, size=3)]
+    found = [plots.cloud(x, y, "", plots.BLUE, size=3)]
     if fit is not None:
         ends = np.array([x.min(), x.max()])
         # an absurd channel has an absurd fit; what is no number is not drawn
@@ -373,7 +365,9 @@ def _scatter(
             line = (
                 fit.scale * ends * comparison.reference_scale[1] + fit.offset
             ) / comparison.unit_si
-        found.append(curve(ends, line, "", VERMILION, legend=False))
+        found.append(
+            plots.curve(ends, line, "", plots.VERMILION, legend=False)
+        )
     return [one | {"hoverinfo": "skip"} for one in found]
 
 
@@ -382,8 +376,11 @@ def _seen(comparison: Comparison, duration_s: float) -> list[str]:
     both = np.isfinite(comparison.reference) & np.isfinite(comparison.channel)
     known_s = comparison.time_s[both]
     if len(known_s) < 2:
-        return [stamp(0.0), stamp(max(duration_s, 1.0))]
-    return [stamp(max(float(known_s[0]), 0.0)), stamp(float(known_s[-1]))]
+        return [plots.stamp(0.0), plots.stamp(max(duration_s, 1.0))]
+    return [
+        plots.stamp(max(float(known_s[0]), 0.0)),
+        plots.stamp(float(known_s[-1])),
+    ]
 
 
 def _short(name: str) -> str:

@@ -9,11 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.cooling import (
-    AxleCooling,
-    Cooling,
-    CoolingPoint,
-)
+from bstm_daemon.analysis.identify import cooling
 from bstm_daemon.analysis.identify.cooling_while_braking import (
     WINDOW_S,
     BrakedAxle,
@@ -55,19 +51,19 @@ def couple_text(role: str) -> str:
     return role.removeprefix("temp_").replace("_", " ")
 
 
-def axle_title(axle: AxleCooling | BrakedAxle) -> str:
+def axle_title(axle: cooling.AxleCooling | BrakedAxle) -> str:
     """Return the line of text above the table of an axle."""
     form = axle.disc.form
     return f'{axle.axle} discs, S in 1e-3 1/s, [cooling] form = "{form}"'
 
 
-def _range(point: CoolingPoint) -> str:
+def _range(point: cooling.CoolingPoint) -> str:
     hottest = max(float(one.measured_k[0]) for one in point.series)
     coolest = min(float(one.measured_k[-1]) for one in point.series)
     return f"{hottest - KELVIN_OFFSET:.0f} to {coolest - KELVIN_OFFSET:.0f} °C"
 
 
-POINTS: Final[Columns[CoolingPoint]] = Columns(
+POINTS: Final[Columns[cooling.CoolingPoint]] = Columns(
     ("speed", lambda one: speed_text(one.speed_ms)),
     ("S", lambda one: s_text(one.value)),
     ("+-", lambda one: s_text(one.standard_error)),
@@ -90,7 +86,7 @@ TABLE: Final[Columns[tuple[float, float, bool]]] = Columns(
 """The table to configure, S in 1e-3 1/s."""
 
 
-def axle_lines(axle: AxleCooling) -> list[str]:
+def axle_lines(axle: cooling.AxleCooling) -> list[str]:
     """Return what else is to be said of an axle."""
     lines = [
         f"{speed_text(point.speed_ms)}: not identified: {point.caveat}"
@@ -120,7 +116,7 @@ def axle_lines(axle: AxleCooling) -> list[str]:
     return lines
 
 
-def cooling_text(result: Cooling) -> str:
+def cooling_text(result: cooling.Cooling) -> str:
     """Return the result as text for the screen; S in 1e-3 1/s."""
     lines = []
     for axle in result.axles:
@@ -132,14 +128,14 @@ def cooling_text(result: Cooling) -> str:
     return "\n".join([*lines, *wrapped((*result.searched, *result.remarks))])
 
 
-def cooling_json(result: Cooling) -> dict[str, Any]:
+def cooling_json(result: cooling.Cooling) -> dict[str, Any]:
     """Return the result as plain data, SI."""
     return picked(result, "searched", "remarks") | {
         "axles": {axle.axle: _axle_json(axle) for axle in result.axles}
     }
 
 
-def _axle_json(axle: AxleCooling) -> dict[str, Any]:
+def _axle_json(axle: cooling.AxleCooling) -> dict[str, Any]:
     return picked(
         axle,
         form="disc.form",
@@ -155,7 +151,7 @@ def _axle_json(axle: AxleCooling) -> dict[str, Any]:
     }
 
 
-def _point_json(point: CoolingPoint) -> dict[str, Any]:
+def _point_json(point: cooling.CoolingPoint) -> dict[str, Any]:
     return picked(
         point,
         *("speed_ms", "standard_error", "identified", "ten_pairs_spread"),
@@ -183,7 +179,7 @@ def _point_json(point: CoolingPoint) -> dict[str, Any]:
     }
 
 
-def cooling_page(result: Cooling, subtitle: str) -> Page:
+def cooling_page(result: cooling.Cooling, subtitle: str) -> Page:
     """Return the page of the cool-downs: S over speed, every cool-down."""
     sections = [part for axle in result.axles for part in _sections(axle)]
     sections.append(Section("What was searched", lines=result.searched))
@@ -199,7 +195,7 @@ def cooling_page(result: Cooling, subtitle: str) -> Page:
     return Page("Disc cooling", sections, tiles[:8], lead, subtitle=subtitle)
 
 
-def _sentence(axle: AxleCooling) -> str:
+def _sentence(axle: cooling.AxleCooling) -> str:
     """Return for a person how fast the discs of *axle* cool."""
     known = [point for point in axle.points if point.identified]
     if not known:
@@ -217,7 +213,7 @@ def _sentence(axle: AxleCooling) -> str:
     )
 
 
-def _sections(axle: AxleCooling) -> list[Section]:
+def _sections(axle: cooling.AxleCooling) -> list[Section]:
     name = f"{axle.axle.capitalize()} discs"
     found = Section(
         f"{name}: S over speed (Eq 4.12), 1e-3 1/s",
@@ -241,7 +237,7 @@ def _sections(axle: AxleCooling) -> list[Section]:
     return [found, *([configure] if axle.table else []), curves]
 
 
-def _table_plot(axle: AxleCooling) -> Plot:
+def _table_plot(axle: cooling.AxleCooling) -> Plot:
     """Plot what was found; at standstill S is all of the loss."""
     driven = [p for p in axle.points if p.speed_ms > 0.0]
     speed = 3.6 * np.array([p.speed_ms for p in axle.points])
@@ -272,7 +268,7 @@ def _over_speed(traces: Sequence[dict[str, Any]], **axes: Any) -> Plot:
     return plot(traces, "speed [km/h]", "S [1e-3 1/s]", **axes)
 
 
-def _point_plots(point: CoolingPoint) -> list[tuple[str, Plot]]:
+def _point_plots(point: cooling.CoolingPoint) -> list[tuple[str, Plot]]:
     title = speed_text(point.speed_ms)
     fall, residuals = [], []
     for i, one in enumerate(point.series):

@@ -12,14 +12,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon import channels
 from bstm_daemon.analysis.statistics.series import Column
-from bstm_daemon.channels import (
-    CORNER_PRESSURE_SUSPECT,
-    FLAGS,
-    HEAT_LOST,
-    HEAT_UNCERTAIN,
-    WHEEL_SUSPECT,
-)
 from bstm_daemon.estimate import REASON_WORDS
 from bstm_daemon.model.heat.plausibility import CAUSES, FAULTS, SUSPECT, WORDS
 from bstm_daemon.model.heat.plausibility import reasons as words_of
@@ -153,32 +147,32 @@ def _held(
 LEAST_S: Final = 1.0
 """Least total duration of a finding that is reported."""
 
-_REFUSED: Final = FLAGS["samples_refused"]
-_STUCK: Final = FLAGS["stuck"]
-_FORCES: Final = FLAGS["forces_contradict"]
-_WHEELS: Final = _REFUSED | _STUCK | FLAGS["wheels_contradict"]
+_REFUSED: Final = channels.FLAGS["samples_refused"]
+_STUCK: Final = channels.FLAGS["stuck"]
+_FORCES: Final = channels.FLAGS["forces_contradict"]
+_WHEELS: Final = _REFUSED | _STUCK | channels.FLAGS["wheels_contradict"]
 
 _SUBJECTS: Final = {
-    "speed_suspect": (0, _WHEELS | FLAGS["acceleration_contradicts"]),
-    "wheel_speed_suspect": (WHEEL_SUSPECT, _WHEELS),
+    "speed_suspect": (0, _WHEELS | channels.FLAGS["acceleration_contradicts"]),
+    "wheel_speed_suspect": (channels.WHEEL_SUSPECT, _WHEELS),
     "pressure_suspect": (
-        CORNER_PRESSURE_SUSPECT,
+        channels.CORNER_PRESSURE_SUSPECT,
         _REFUSED
         | _STUCK
-        | FLAGS["switch_contradicts"]
-        | FLAGS["pressure_zero"],
+        | channels.FLAGS["switch_contradicts"]
+        | channels.FLAGS["pressure_zero"],
     ),
     "acceleration_suspect": (
         0,
-        _REFUSED | _FORCES | FLAGS["acceleration_contradicts"],
+        _REFUSED | _FORCES | channels.FLAGS["acceleration_contradicts"],
     ),
     "torque_suspect": (0, _REFUSED | _FORCES),
     "temperature_suspect": (0, _REFUSED),
     "ambient_suspect": (0, 0),
     "heat_substituted": (0, 0),
     "heat_unknown": (0, 0),
-    "heat_lost": (HEAT_LOST, 0),
-    "heat_doubt": (HEAT_UNCERTAIN, 0),
+    "heat_lost": (channels.HEAT_LOST, 0),
+    "heat_doubt": (channels.HEAT_UNCERTAIN, 0),
 }
 """By fault: the bit of the first corner, and what may be its cause."""
 

@@ -7,16 +7,8 @@ import numpy as np
 from bstm_daemon.analysis.gap.force_balance import Forces
 from bstm_daemon.analysis.gap.heat_only import ForceGap
 from bstm_daemon.report import gap as words
+from bstm_daemon.report import plots
 from bstm_daemon.report.gap_page import candidate_sections, naming_json
-from bstm_daemon.report.plots import (
-    BLUE,
-    GREY,
-    VERMILION,
-    cloud,
-    curve,
-    plot,
-    time_plot,
-)
 from bstm_daemon.report.shell import Page, Section
 from bstm_daemon.report.text import table
 
@@ -143,25 +135,27 @@ def _force_section(one: Forces) -> Section:
     span = (0.0, max(float(one.time_s[-1]), 1.0))
     motion_kn, pressed_kn = 1e-3 * one.motion_n, 1e-3 * one.whole_n
     over_time = [
-        curve(one.time_s, motion_kn, "by motion", BLUE),
-        curve(one.time_s, pressed_kn, "by pressure", VERMILION),
+        plots.curve(one.time_s, motion_kn, "by motion", plots.BLUE),
+        plots.curve(one.time_s, pressed_kn, "by pressure", plots.VERMILION),
     ]
-    difference = [cloud(motion_kn, pressed_kn - motion_kn, "", VERMILION)]
+    difference = [
+        plots.cloud(motion_kn, pressed_kn - motion_kn, "", plots.VERMILION)
+    ]
     return Section(
         f"brake force of the car on {one.drive}",
         plots=(
             (
                 "over time",
-                time_plot(over_time, "force [kN]", span, height=340),
+                plots.time_plot(over_time, "force [kN]", span, height=340),
             ),
             (
                 "how much more by pressure than by motion",
-                plot(
+                plots.plot(
                     difference,
                     "force by motion [kN]",
                     "difference [kN]",
                     height=340,
-                    yaxis={"zerolinecolor": GREY},
+                    yaxis={"zerolinecolor": plots.GREY},
                 ),
             ),
         ),

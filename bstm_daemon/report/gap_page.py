@@ -25,18 +25,8 @@ from bstm_daemon.analysis.gap.residual_heat import (
 )
 from bstm_daemon.analysis.gap.workflow import Gap
 from bstm_daemon.report import gap as words
+from bstm_daemon.report import plots
 from bstm_daemon.report.json_file import picked
-from bstm_daemon.report.plots import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    VERMILION,
-    Plot,
-    curve,
-    plot,
-    time_plot,
-)
 from bstm_daemon.report.shell import Page, Section, Table
 
 ORDER: Final = ("disc", "pad_front", "pad_back", "fluid", "caliper")
@@ -158,7 +148,7 @@ def _maps_section(before: Located, after: Located) -> Section:
     )
 
 
-def heat_map(cells: Sequence[Cell], scale: Sequence[Cell] = ()) -> Plot:
+def heat_map(cells: Sequence[Cell], scale: Sequence[Cell] = ()) -> plots.Plot:
     """Return the map: regime and temperature of the node against nodes.
 
     Colour and text are both the missing heat [kJ]; the ends of the colours
@@ -195,7 +185,7 @@ def heat_map(cells: Sequence[Cell], scale: Sequence[Cell] = ()) -> Plot:
             "thickness": 12,
         },
     }
-    return plot(
+    return plots.plot(
         [data],
         "",
         "",
@@ -276,7 +266,7 @@ def _advice_section(gap: Gap) -> Section:
     )
 
 
-def evidence_bars(naming: Naming) -> Plot:
+def evidence_bars(naming: Naming) -> plots.Plot:
     """Return the log Bayes factor of the likeliest candidates as bars."""
     # the best is drawn at the top, behind all others
     best = [
@@ -285,7 +275,8 @@ def evidence_bars(naming: Naming) -> Plot:
         if one.log_evidence > 0.0 or one is naming.candidates[0]
     ]
     colours = [
-        VERMILION if one.name in naming.names else "#9aa5b1" for one in best
+        plots.VERMILION if one.name in naming.names else "#9aa5b1"
+        for one in best
     ]
     labels = [
         wrap(escape(name_of(one.name).replace("_", " ")), LABEL_CHARACTERS)
@@ -301,7 +292,7 @@ def evidence_bars(naming: Naming) -> Plot:
     }
     most = max(one.log_evidence for one in best)
     least = min(0.0, *(one.log_evidence for one in best))
-    return plot(
+    return plots.plot(
         [data],
         "logarithm of the Bayes factor",
         "",
@@ -336,21 +327,25 @@ def _before_and_after(one: NodeErrors) -> str:
     return f"{node}: RMS error {before_k:.1f} K before, {after_k:.1f} K after"
 
 
-def _curves(one: NodeErrors) -> Plot:
+def _curves(one: NodeErrors) -> plots.Plot:
     looks = {
-        CONFIGURED: ("before", GREY, "solid"),
-        EXTENDED: ("after", VERMILION, "solid"),
-        BASELINES[1]: (BASELINES[1], ORANGE, "dot"),
-        BASELINES[2]: (BASELINES[2], BLUE, "dash"),
+        CONFIGURED: ("before", plots.GREY, "solid"),
+        EXTENDED: ("after", plots.VERMILION, "solid"),
+        BASELINES[1]: (BASELINES[1], plots.ORANGE, "dot"),
+        BASELINES[2]: (BASELINES[2], plots.BLUE, "dash"),
     }
-    data = [curve(one.time_s, one.measured_c, "measured", BLACK, width=2.6)]
+    data = [
+        plots.curve(
+            one.time_s, one.measured_c, "measured", plots.BLACK, width=2.6
+        )
+    ]
     data += [
-        curve(one.time_s, one.model_c[key], name, colour, dash=dash)
+        plots.curve(one.time_s, one.model_c[key], name, colour, dash=dash)
         | ({} if key in {CONFIGURED, EXTENDED} else {"visible": "legendonly"})
         for key, (name, colour, dash) in looks.items()
     ]
     span = (0.0, float(one.time_s[-1]))
-    return time_plot(data, "temperature [°C]", span, height=320)
+    return plots.time_plot(data, "temperature [°C]", span, height=320)
 
 
 def _tables_section(located: Located) -> Section:

@@ -9,13 +9,8 @@ from typing import Any
 import numpy as np
 
 from bstm_daemon.analysis.gap.calibration import Step
+from bstm_daemon.analysis.matching import identifiability
 from bstm_daemon.analysis.matching.curves import curves_of
-from bstm_daemon.analysis.matching.identifiability import (
-    correlations,
-    ratios,
-    strong_pairs,
-    verdicts,
-)
 from bstm_daemon.analysis.matching.matcher import Match
 from bstm_daemon.analysis.matching.refine import Accuracy, Refinement
 from bstm_daemon.analysis.matching.tunables import TUNABLES
@@ -68,7 +63,7 @@ def value_rows(fit: Refinement) -> list[tuple[str, ...]]:
             f"{100.0 * one.share:.0f} %",
             one.reason or "settled",
         )
-        for one in verdicts(fit)
+        for one in identifiability.verdicts(fit)
     ]
 
 
@@ -98,11 +93,11 @@ def notes(match: Match) -> list[str]:
         f"{short(ratio.first)} {ratio.sign} "
         f"{short(ratio.second)} is known to {100.0 * ratio.deviation:.1f} %, "
         "better than either"
-        for ratio in ratios(fit)[:SHOWN_RATIOS]
+        for ratio in identifiability.ratios(fit)[:SHOWN_RATIOS]
     ]
     lines += [
         f"{short(first)} and {short(second)} are correlated {correlation:+.2f}"
-        for first, second, correlation in strong_pairs(fit)
+        for first, second, correlation in identifiability.strong_pairs(fit)
     ]
     if not accuracy.left_out:
         lines.append(
@@ -226,12 +221,12 @@ def _fit_json(fit: Refinement) -> dict[str, Any]:
                 share_of_prior="share",
             )
             | {"configured": fit.start[one.key], "reason": one.reason or None}
-            for one in verdicts(fit)
+            for one in identifiability.verdicts(fit)
         },
-        "correlations": np.round(correlations(fit), 4),
+        "correlations": np.round(identifiability.correlations(fit), 4),
         "ratios": [
             {"what": str(one), "relative_deviation": one.deviation}
-            for one in ratios(fit)
+            for one in identifiability.ratios(fit)
         ],
         "noise": {
             node: picked(one, "white_k", "drift_k", "offset_k", "lag_s")
@@ -317,7 +312,7 @@ def sentence(match: Match) -> str:
 
 
 def _correlations(fit: Refinement) -> Table:
-    found = correlations(fit)
+    found = identifiability.correlations(fit)
     places = range(len(fit.keys))
     names = [str(i + 1) for i in places]
     rows = [

@@ -17,14 +17,7 @@ from bstm_daemon.bus.live.link import Frame, Link
 from bstm_daemon.errors import BstmError, ConfigError
 from bstm_daemon.estimator.state import RESUMABLE_US
 from bstm_daemon.feed.server import FeedServer
-from bstm_daemon.service import events, wake
-from bstm_daemon.service.assembly import (
-    BusOverride,
-    Monitor,
-    MonitorBuild,
-    build_monitor,
-    refusing,
-)
+from bstm_daemon.service import assembly, events, wake
 from bstm_daemon.service.clock import SteadyAxis
 from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.intake import GUARD_US, Arrivals, Intake
@@ -44,7 +37,9 @@ class Options:
 
     config: Path
     state: Path | None = None
-    override: BusOverride = field(default_factory=BusOverride)
+    override: assembly.BusOverride = field(
+        default_factory=assembly.BusOverride
+    )
     metrics_port: int | None = None
     forecast: bool = True
     """Whether to compute risk and forecast."""
@@ -68,14 +63,14 @@ class Service:
         self._options = options
         self._notifier = notifier
         self._log = log
-        self._monitor = build_monitor(
+        self._monitor = assembly.build_monitor(
             options.config, options.override, forecast=options.forecast
         )
-        self._build: MonitorBuild | None = None
+        self._build: assembly.MonitorBuild | None = None
         """The configuration of a reload under way."""
         self._reload_asked = False
         self._axis = SteadyAxis()
-        with refusing(options.config):
+        with assembly.refusing(options.config):
             links = self._monitor.links()
         config = self._monitor.config
         file = state_file(config, options.config.parent, options.state)
@@ -271,7 +266,7 @@ class Service:
         if self._build is None and not self._reload_asked:
             return
         try:
-            with refusing(self._options.config):
+            with assembly.refusing(self._options.config):
                 fresh = self._built()
                 if fresh is None:
                     return
@@ -287,22 +282,22 @@ class Service:
         self._build = None
         self._apply(fresh, links)
 
-    def _built(self) -> Monitor | None:
+    def _built(self) -> assembly.Monitor | None:
         """Return the new monitor once it is built; begin to, if asked."""
         now_us = self._axis.now_us
         if self._build is not None:
             return self._build.outcome(now_us)
         self._reload_asked = False
         options = self._options
-        self._build = MonitorBuild(
-            lambda: build_monitor(
+        self._build = assembly.MonitorBuild(
+            lambda: assembly.build_monitor(
                 options.config, options.override, forecast=options.forecast
             ),
             now_us,
         )
         return None
 
-    def _prepared(self, fresh: Monitor) -> list[Link] | None:
+    def _prepared(self, fresh: assembly.Monitor) -> list[Link] | None:
         """Let *fresh* take over the brakes; return its links, opened, if new.
 
         Nothing of the running service changes.
@@ -318,7 +313,9 @@ class Service:
             raise
         return links
 
-    def _apply(self, fresh: Monitor, links: list[Link] | None) -> None:
+    def _apply(
+        self, fresh: assembly.Monitor, links: list[Link] | None
+    ) -> None:
         """Go on with *fresh*, on *links* where there are new ones."""
         self._persistence.reloaded(self._monitor.engine, fresh.engine)
         self._monitor = fresh
@@ -332,7 +329,7 @@ class Service:
         _freeze_heap()
         self._log.emit(events.CONFIG_RELOADED, config=str(fresh.path))
 
-    def _links_for(self, fresh: Monitor) -> list[Link] | None:
+    def _links_for(self, fresh: assembly.Monitor) -> list[Link] | None:
         """Return new links where the buses changed; None where they stay."""
         old = self._monitor
         same = fresh.config.bus == old.config.bus and all(
@@ -342,7 +339,7 @@ class Service:
         same = same and fresh.config.daemon == old.config.daemon
         return None if same else fresh.links()
 
-    def _hand_over(self, fresh: Monitor) -> None:
+    def _hand_over(self, fresh: assembly.Monitor) -> None:
         """Copy the running engine's memory to that of *fresh*."""
         if fresh.config.vehicle.id != self._monitor.config.vehicle.id:
             problem = (

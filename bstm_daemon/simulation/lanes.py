@@ -18,26 +18,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bstm_daemon.simulation import materials, sizes
+from bstm_daemon.simulation import materials, parameters, sizes
 from bstm_daemon.simulation.materials import Array
-from bstm_daemon.simulation.parameters import (
-    ACTING_NAMES,
-    CORNER_NAMES,
-    DRAWN,
-    EFFECT_NAMES,
-    LUMPS,
-    PARAMETER_NAMES,
-    PATH_NAMES,
-    CornerParameters,
-    DrawnPath,
-    Effects,
-    Mesh,
+
+CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(
+    len(parameters.LUMPS)
 )
 
-CENTRE, HAT, HUB, PISTON, FLUID, BODY, FINGER, BRACKET, AIR = range(len(LUMPS))
-
 FRICTION_EFFECTS: Final = tuple(
-    name for name in EFFECT_NAMES if name.startswith("friction_")
+    name for name in parameters.EFFECT_NAMES if name.startswith("friction_")
 )
 """Effects that make mu depart from its nominal value."""
 
@@ -49,9 +38,9 @@ _DISC_WEAR_FRACTION: Final = 0.08
 _PAD_WEAR_M: Final = 0.0045
 _WORN_OUT_M: Final = 0.002
 
-DUCT: Final = DrawnPath(
+DUCT: Final = parameters.DrawnPath(
     start=3 + CENTRE,
-    end=len(LUMPS),
+    end=len(parameters.LUMPS),
     conductance_w_k=3.6,
     speed_exponent=1.0,
     onset_k=623.15,
@@ -68,7 +57,7 @@ class Rows:
 
     def __init__(self, table: Array) -> None:
         """Name the rows of *table*, shape (len(PARAMETER_NAMES), lanes)."""
-        vars(self).update(zip(PARAMETER_NAMES, table, strict=True))
+        vars(self).update(zip(parameters.PARAMETER_NAMES, table, strict=True))
 
     if TYPE_CHECKING:
 
@@ -81,9 +70,9 @@ class Lanes:
 
     def __init__(
         self,
-        corners: Sequence[CornerParameters],
-        effects: Sequence[Effects],
-        mesh: Mesh,
+        corners: Sequence[parameters.CornerParameters],
+        effects: Sequence[parameters.Effects],
+        mesh: parameters.Mesh,
     ) -> None:
         """Tabulate *corners* and *effects*, one of each a lane.
 
@@ -94,8 +83,8 @@ class Lanes:
             [
                 [getattr(part, name) for part in parts]
                 for parts, names in (
-                    (corners, CORNER_NAMES),
-                    (effects, ACTING_NAMES),
+                    (corners, parameters.CORNER_NAMES),
+                    (effects, parameters.ACTING_NAMES),
                 )
                 for name in names
             ]
@@ -110,7 +99,7 @@ class Lanes:
         self.surface = self.pad.stop
         self.chain_nodes = self.cheek.stop
         self.first_lump = 2 * self.chain_nodes
-        self.nodes = self.first_lump + len(LUMPS)
+        self.nodes = self.first_lump + len(parameters.LUMPS)
 
         pad_weight = np.full(mesh.pad_nodes, 1.0 / (mesh.pad_nodes - 1))
         pad_weight[[0, -1]] /= 2
@@ -145,8 +134,8 @@ class Lanes:
             * p.backplate_thickness_m
         )
         # that of the centre, of iron, follows from its temperature
-        self.lump_j_k = np.zeros((len(LUMPS), self.count))
-        for lump, name in enumerate(LUMPS[HAT:], start=HAT):
+        self.lump_j_k = np.zeros((len(parameters.LUMPS), self.count))
+        for lump, name in enumerate(parameters.LUMPS[HAT:], start=HAT):
             self.lump_j_k[lump] = getattr(p, f"{name}_capacity_j_k")
         self.lining = (
             *(p.pad_heat_capacity_j_kgk, p.pad_capacity),
@@ -168,12 +157,16 @@ class Lanes:
         self.wets = bool(np.any(p.wet_disc))
         self.shields = bool(np.any(p.dust_shield))
         # C has as many of each lane
-        self.drawn = np.zeros((self.count, DRAWN, len(PATH_NAMES)))
+        self.drawn = np.zeros(
+            (self.count, parameters.DRAWN, len(parameters.PATH_NAMES))
+        )
         for lane, corner in enumerate(corners):
             duct = DUCT.conductance_w_k * effects[lane].brake_duct
             every = (replace(DUCT, conductance_w_k=duct), *corner.drawn_paths)
             for place, path in zip(self.drawn[lane], every, strict=False):
-                place[:] = [getattr(path, name) for name in PATH_NAMES]
+                place[:] = [
+                    getattr(path, name) for name in parameters.PATH_NAMES
+                ]
         self.iron = p.disc_capacity_hot, p.iron_slope_j_kgk2
         self.boils = bool(np.any(p.fluid_latent_heat))
 
@@ -294,7 +287,9 @@ def start_state(lanes: Lanes, temperature_k: Array) -> State:
     chain = np.broadcast_to(
         temperature_k, (lanes.chain_nodes, 2, lanes.count)
     ).copy()
-    lumps = np.broadcast_to(temperature_k, (len(LUMPS), lanes.count)).copy()
+    lumps = np.broadcast_to(
+        temperature_k, (len(parameters.LUMPS), lanes.count)
+    ).copy()
     state = State(
         chain,
         lumps,

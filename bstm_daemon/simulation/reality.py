@@ -18,7 +18,7 @@ from typing import Final, cast
 import numpy as np
 
 from bstm_daemon.native.loader import VARIABLE, load_module
-from bstm_daemon.simulation import materials, sizes
+from bstm_daemon.simulation import materials, parameters, sizes
 from bstm_daemon.simulation.lanes import (
     BODY,
     CENTRE,
@@ -31,25 +31,13 @@ from bstm_daemon.simulation.lanes import (
 from bstm_daemon.simulation.linings import friction_factor, pyrolyse, wear_pads
 from bstm_daemon.simulation.materials import Array
 from bstm_daemon.simulation.network import Paths, paths
-from bstm_daemon.simulation.parameters import (
-    DEFAULT_MESH,
-    DRAWN,
-    INPUT_NAMES,
-    LUMPS,
-    PARAMETER_NAMES,
-    PATH_NAMES,
-    CornerParameters,
-    Effects,
-    Inputs,
-    Mesh,
-)
 
 # thermocouples of a disc sit 1.5 mm under the friction surface
 _MEASURED_DEPTH: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LaneInputs(Inputs):
+class LaneInputs(parameters.Inputs):
     """Inputs of a batch, constant over each of n steps.
 
     Shapes: ``step_s`` (n,), ``keep`` (n,) bool, the rest (n, lanes) or
@@ -64,9 +52,11 @@ class LaneInputs(Inputs):
     keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
     corners_per_car: int = 0
 
-    def at(self, step: int) -> Inputs:
+    def at(self, step: int) -> parameters.Inputs:
         """Return the inputs of *step*."""
-        return Inputs(**{n: getattr(self, n)[step] for n in INPUT_NAMES})
+        return parameters.Inputs(
+            **{n: getattr(self, n)[step] for n in parameters.INPUT_NAMES}
+        )
 
 
 class LaneResult:
@@ -84,7 +74,7 @@ class LaneResult:
         self.time_s: Array = np.cumsum(inputs.step_s)[inputs.keep]
         steps, kept = len(inputs.step_s), len(self.time_s)
         self.chain_k = np.empty((kept, lanes.chain_nodes, 2, lanes.count))
-        self.lump_k = np.empty((kept, len(LUMPS), lanes.count))
+        self.lump_k = np.empty((kept, len(parameters.LUMPS), lanes.count))
         self.power_w = np.empty((steps, lanes.count))
         self.friction = np.empty((steps, lanes.count))
         self.heat_in_j = np.zeros(lanes.count)
@@ -128,7 +118,7 @@ class LaneResult:
             "fluid": lumps[:, FLUID],
             "caliper": lumps[:, BODY],
         }
-        for index, name in enumerate(LUMPS):
+        for index, name in enumerate(parameters.LUMPS):
             if index not in (FLUID, BODY):
                 nodes[name] = lumps[:, index]
         return nodes
@@ -145,22 +135,22 @@ MAX_NODES: Final = 128
 
 CORNER: Final = np.dtype(
     [
-        ("table", np.float64, len(PARAMETER_NAMES)),
-        ("drawn", np.float64, (DRAWN, len(PATH_NAMES))),
+        ("table", np.float64, len(parameters.PARAMETER_NAMES)),
+        ("drawn", np.float64, (parameters.DRAWN, len(parameters.PATH_NAMES))),
         ("cheek_kg", np.float64, MAX_NODES),
         ("gap_m", np.float64, MAX_NODES),
         ("centre_kg", np.float64),
         ("backplate_j_k", np.float64),
-        ("lump_j_k", np.float64, len(LUMPS)),
+        ("lump_j_k", np.float64, len(parameters.LUMPS)),
         *((name, np.int32) for name in ("pads", "cheeks", "nodes", "surface")),
     ]
 )
 STATE: Final = np.dtype(
     [
         ("chain_k", np.float64, (2, MAX_NODES)),
-        ("lump_k", np.float64, len(LUMPS)),
+        ("lump_k", np.float64, len(parameters.LUMPS)),
         ("chain_j", np.float64, (2, MAX_NODES)),
-        ("lump_j", np.float64, len(LUMPS)),
+        ("lump_j", np.float64, len(parameters.LUMPS)),
         ("pad_m", np.float64, 2),
         ("char", np.float64, (2, MAX_NODES)),
         ("friction_j", np.float64),
@@ -194,8 +184,8 @@ def march_compiled(
         raise ValueError(msg)
     done = LaneResult(lanes, state, inputs)
     steps, count = len(inputs.step_s), lanes.count
-    rows = np.empty((steps, len(INPUT_NAMES), count))
-    for index, name in enumerate(INPUT_NAMES):
+    rows = np.empty((steps, len(parameters.INPUT_NAMES), count))
+    for index, name in enumerate(parameters.INPUT_NAMES):
         rows[:, index] = getattr(inputs, name)
     packed = np.zeros(count, STATE)
     members = [getattr(state, field.name) for field in fields(state)]
@@ -245,12 +235,12 @@ def _corners(lanes: Lanes) -> np.ndarray[tuple[int], np.dtype[np.void]]:
 
 
 def march_lanes(
-    corners: Sequence[CornerParameters],
-    effects: Sequence[Effects],
+    corners: Sequence[parameters.CornerParameters],
+    effects: Sequence[parameters.Effects],
     inputs: LaneInputs,
     *,
     start_k: Array,
-    mesh: Mesh = DEFAULT_MESH,
+    mesh: parameters.Mesh = parameters.DEFAULT_MESH,
 ) -> LaneResult:
     """March *corners*, one a lane, under *inputs* from *start_k* (lanes,).
 
@@ -294,7 +284,9 @@ def march_numpy(lanes: Lanes, state: State, inputs: LaneInputs) -> LaneResult:
     return done
 
 
-def _with_friction(row: Inputs, factor: Array, per_car: int) -> Inputs:
+def _with_friction(
+    row: parameters.Inputs, factor: Array, per_car: int
+) -> parameters.Inputs:
     actual = row.power_w * factor
     if not per_car:
         return replace(row, power_w=actual)
@@ -311,7 +303,7 @@ def _with_friction(row: Inputs, factor: Array, per_car: int) -> Inputs:
 
 
 def _step(
-    lanes: Lanes, state: State, inputs: Inputs, dt: float
+    lanes: Lanes, state: State, inputs: parameters.Inputs, dt: float
 ) -> tuple[State, Array, Array]:
     """One extrapolated step; returns state, heat in and heat out [J]."""
     here = paths(lanes, state, inputs)
@@ -333,7 +325,11 @@ def _step(
 
 
 def _euler(
-    lanes: Lanes, state: State, here: Paths, inputs: Inputs, dt: float
+    lanes: Lanes,
+    state: State,
+    here: Paths,
+    inputs: parameters.Inputs,
+    dt: float,
 ) -> tuple[State, Array]:
     """One linearly implicit step; returns state and heat out [J]."""
     excess = lanes.joined(state.chain_k, state.lump_k)

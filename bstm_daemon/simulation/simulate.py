@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from bstm_daemon.roles import CORNERS
+from bstm_daemon.simulation import vehicle
 from bstm_daemon.simulation.car import Motion, line_pressure, move
 from bstm_daemon.simulation.drives import Drive
 from bstm_daemon.simulation.materials import Array
@@ -22,12 +23,6 @@ from bstm_daemon.simulation.sensors import (
     measured_roles,
     measured_temperatures,
     sensor_suite,
-)
-from bstm_daemon.simulation.vehicle import (
-    CarParameters,
-    load_vehicle,
-    real_car,
-    scaled_car,
 )
 from bstm_daemon.units import KELVIN_OFFSET
 
@@ -71,7 +66,7 @@ class SimulatedDrive:
     """
 
     drive: Drive
-    car: CarParameters
+    car: vehicle.CarParameters
     course: Course
     motion: Motion
     time_s: Array
@@ -90,7 +85,7 @@ class SimulatedDrive:
 class Prepared:
     """A drive up to the brakes: what acts on the four corners of ``car``."""
 
-    car: CarParameters
+    car: vehicle.CarParameters
     course: Course
     motion: Motion
     inputs: LaneInputs
@@ -100,7 +95,7 @@ class Prepared:
 
 def prepare(
     drive: Drive,
-    car: CarParameters | None,
+    car: vehicle.CarParameters | None,
     effects: Effects,
     resolution: Resolution = DEFAULT_RESOLUTION,
 ) -> Prepared:
@@ -111,11 +106,11 @@ def prepare(
     """
     head = drive.drive
     if car is None:
-        car = load_vehicle(head.vehicle)
-    car = scaled_car(car, head.scale, drive.name)
+        car = vehicle.load_vehicle(head.vehicle)
+    car = vehicle.scaled_car(car, head.scale, drive.name)
     if head.mass_kg is not None:
         car = replace(car, mass_kg=head.mass_kg)
-    actual = real_car(car, effects)
+    actual = vehicle.real_car(car, effects)
     course = plan_course(drive, actual)
     motion = move(course, actual, effects, pushed=head.propulsion == "push")
     ambient_k = KELVIN_OFFSET + course.level(
@@ -137,7 +132,7 @@ def prepare(
 
 def simulate(
     drive: Drive,
-    car: CarParameters | None = None,
+    car: vehicle.CarParameters | None = None,
     *,
     preset: str | Effects = "plain",
     sensors: str = "none",

@@ -15,13 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bstm_daemon.errors import ConfigError, UsageError, hint
+from bstm_daemon.simulation import parameters
 from bstm_daemon.simulation.materials import Array
-from bstm_daemon.simulation.parameters import (
-    FRONT,
-    REAR,
-    CornerParameters,
-    Effects,
-)
 from bstm_daemon.units import AIR_DENSITY_KG_M3, GRAVITY_MS2
 
 Gears = npt.NDArray[np.intp]
@@ -49,17 +44,17 @@ class CarParameters:
 
     mass_kg: float = 2194.0
     wheel_inertia_kg_m2: float = 3.0809
-    wheel_radius_m: float = FRONT.wheel_radius_m
+    wheel_radius_m: float = parameters.FRONT.wheel_radius_m
     rolling_resistance: float = 0.014
     friction_ns_m: float = 4.0
     drag_area_m2: float = 0.70
     left_bias: float = 0.0
     left_shelter: float = 0.0
-    front: CornerParameters = FRONT
-    rear: CornerParameters = REAR
+    front: parameters.CornerParameters = parameters.FRONT
+    rear: parameters.CornerParameters = parameters.REAR
 
     @property
-    def corners(self) -> tuple[CornerParameters, ...]:
+    def corners(self) -> tuple[parameters.CornerParameters, ...]:
         """The four corners: FL, FR, RL, RR."""
         return (
             self._on_side(self.front, 1.0),
@@ -69,8 +64,8 @@ class CarParameters:
         )
 
     def _on_side(
-        self, corner: CornerParameters, left: float
-    ) -> CornerParameters:
+        self, corner: parameters.CornerParameters, left: float
+    ) -> parameters.CornerParameters:
         air = 1.0 - left * self.left_shelter
         return replace(
             _scaled(corner, 1.0 + left * self.left_bias),
@@ -149,7 +144,7 @@ NOMINAL: Final = CarParameters()
 """The nominal car."""
 
 
-def real_car(car: CarParameters, effects: Effects) -> CarParameters:
+def real_car(car: CarParameters, effects: parameters.Effects) -> CarParameters:
     """Return the car that really drives: what *effects* change in *car*.
 
     The mass is above its nominal value, brake force shifts to the front axle.
@@ -165,7 +160,9 @@ def real_car(car: CarParameters, effects: Effects) -> CarParameters:
     )
 
 
-def _scaled(corner: CornerParameters, factor: float) -> CornerParameters:
+def _scaled(
+    corner: parameters.CornerParameters, factor: float
+) -> parameters.CornerParameters:
     mu = corner.friction_coefficient * factor
     return replace(corner, friction_coefficient=mu)
 
@@ -173,7 +170,7 @@ def _scaled(corner: CornerParameters, factor: float) -> CornerParameters:
 Axle = Literal["front", "rear"]
 
 _CAR_KEYS = {f.name for f in fields(CarParameters)} - {"front", "rear"}
-_CORNER_KEYS = {f.name for f in fields(CornerParameters)} - {
+_CORNER_KEYS = {f.name for f in fields(parameters.CornerParameters)} - {
     *("wheel_radius_m", "drawn_paths")
 }
 

@@ -6,6 +6,7 @@ from enum import IntEnum
 from math import isfinite, isnan, nan
 from typing import Final, NamedTuple, TypeVar
 
+from bstm_daemon import estimate
 from bstm_daemon.bus.output.e2e import CheckStatus
 from bstm_daemon.bus.output.layout import (
     CORNERS,
@@ -14,16 +15,6 @@ from bstm_daemon.bus.output.layout import (
     Frame,
 )
 from bstm_daemon.bus.output.published import PublishedDecoder
-from bstm_daemon.estimate import (
-    NO_INPUT,
-    NO_REASON,
-    HeatMode,
-    Input,
-    Reason,
-    RiskLevel,
-    State,
-    Validity,
-)
 
 HISTORY_S: Final = 300
 """Five minutes, about the time constant of a cooling disc."""
@@ -212,36 +203,42 @@ class Board:
         """Return the history of a temperature [degC]."""
         return self._histories.get((corner, node), _EMPTY)
 
-    def validity(self, frame: str) -> Validity:
+    def validity(self, frame: str) -> estimate.Validity:
         """Return the validity of a frame; an undefined code is invalid."""
-        unset = Validity.NOT_AVAILABLE
-        return self._choice(frame, "Validity", unset, Validity.INVALID)
+        unset = estimate.Validity.NOT_AVAILABLE
+        return self._choice(
+            frame, "Validity", unset, estimate.Validity.INVALID
+        )
 
-    def reasons(self, corner: str) -> Reason:
+    def reasons(self, corner: str) -> estimate.Reason:
         """Return why *corner* is not valid, as far as it was received."""
         raw = self.value(REASONS, f"Reasons{corner}")
         unknown = isnan(raw) or raw == UNKNOWN_REASONS
-        return NO_REASON if unknown else Reason(int(raw))
+        return estimate.NO_REASON if unknown else estimate.Reason(int(raw))
 
     @property
-    def unverified(self) -> Input:
+    def unverified(self) -> estimate.Input:
         """Inputs that no mapped role can check."""
         raw = self.value(REASONS, "Unverified")
-        return NO_INPUT if isnan(raw) else Input(int(raw))
+        return estimate.NO_INPUT if isnan(raw) else estimate.Input(int(raw))
 
-    def risk(self, corner: str) -> RiskLevel:
+    def risk(self, corner: str) -> estimate.RiskLevel:
         """Return the risk level of *corner*."""
-        return self._choice(f"BSTM_{corner}_Risk", "Level", RiskLevel.UNKNOWN)
+        return self._choice(
+            f"BSTM_{corner}_Risk", "Level", estimate.RiskLevel.UNKNOWN
+        )
 
     @property
-    def state(self) -> State:
+    def state(self) -> estimate.State:
         """State of the daemon."""
-        return self._choice(STATUS, "State", State.NOT_AVAILABLE)
+        return self._choice(STATUS, "State", estimate.State.NOT_AVAILABLE)
 
     @property
-    def heat_mode(self) -> HeatMode:
+    def heat_mode(self) -> estimate.HeatMode:
         """Source of the brake power."""
-        return self._choice(STATUS, "HeatMode", HeatMode.NOT_AVAILABLE)
+        return self._choice(
+            STATUS, "HeatMode", estimate.HeatMode.NOT_AVAILABLE
+        )
 
     def is_set(self, flag: str) -> bool:
         """Return whether *flag* of ``BSTM_Status`` is set."""

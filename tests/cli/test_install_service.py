@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from bstm_daemon.cli import install_service
 from bstm_daemon.cli.main import main
+from bstm_daemon.service import unit_files
 
 ELSEWHERE = Path("/usr/bin/env")
 
@@ -18,7 +18,7 @@ def visible(monkeypatch: pytest.MonkeyPatch) -> None:
     The interpreter of the tests may well be in somebody's home; the real
     check runs in tests/systemd.
     """
-    monkeypatch.setattr(install_service, "program_places", lambda: [ELSEWHERE])
+    monkeypatch.setattr(unit_files, "program_places", lambda: [ELSEWHERE])
     monkeypatch.setattr(sys, "executable", "/opt/venv/bin/python")
 
 
@@ -92,7 +92,7 @@ def test_a_hidden_interpreter_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(
-        install_service,
+        unit_files,
         "program_places",
         lambda: [Path("/home/me/venv/bin/python")],
     )

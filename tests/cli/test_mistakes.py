@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from bstm_daemon.cli import install_service
 from bstm_daemon.cli.main import COMMANDS, main
+from bstm_daemon.service import unit_files
 
 ROOT = Path(__file__).parents[2]
 LOGS = ROOT / "tests" / "golden" / "logs"
@@ -199,7 +199,7 @@ def test_a_mistake_has_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(desk)
-    monkeypatch.setattr(install_service, "program_places", list)
+    monkeypatch.setattr(unit_files, "program_places", list)
     monkeypatch.setattr(sys, "executable", "/opt/venv/bin/python")
     there = sorted(desk.iterdir())
     begun_s = time.process_time()

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.config import sections as config
 from bstm_daemon.config import service as config_service
+from bstm_daemon.config.estimates import FluidConfig
 from bstm_daemon.config.schema import config_schema
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.simulation.drives import DriveHead, Segment
@@ -148,7 +149,7 @@ def test_values_are_final() -> None:
         (config.SignalConfig, "max"),
         (config.HeatConfig, "assume_powertrain_torque_nm"),
         (ThermalConfig, "hot_pad_factor"),
-        (config.FluidConfig, "water_percent"),
+        (FluidConfig, "water_percent"),
     ],
 )
 def test_not_a_number_is_refused(

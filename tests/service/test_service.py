@@ -31,7 +31,6 @@ from bstm_daemon.cli.main import main
 from bstm_daemon.engine import Engine
 from bstm_daemon.errors import ConfigError, StateLockedError
 from bstm_daemon.service import assembly
-from bstm_daemon.service import service as service_module
 from bstm_daemon.service.assembly import BusOverride, Monitor
 from bstm_daemon.service.events import ServiceLog
 from bstm_daemon.service.notify import Notifier
@@ -500,7 +499,7 @@ def test_a_state_that_the_new_engine_can_not_take_leaves_the_old_one(
         )
         path.write_text(text, "utf-8")
         peer.drive(0.3)
-        monkeypatch.setattr(service_module.Monitor, "links", links)
+        monkeypatch.setattr(assembly.Monitor, "links", links)
         monkeypatch.setattr(Engine, "resume", fail)
         os.kill(os.getpid(), signal.SIGHUP)
         lines.wait_for("config_refused")
@@ -525,7 +524,7 @@ def test_while_a_configuration_is_built_the_cycle_goes_on(
 ) -> None:
     """A signal meanwhile asks for one more: the file may have changed."""
     path = car(tmp_path, channel)
-    build = service_module.build_monitor
+    build = assembly.build_monitor
     go_on = threading.Event()
     began = []
 
@@ -535,7 +534,7 @@ def test_while_a_configuration_is_built_the_cycle_goes_on(
             assert go_on.wait(LIMIT_S)
         return build(*args, **options)
 
-    monkeypatch.setattr(service_module, "build_monitor", slow)
+    monkeypatch.setattr(assembly, "build_monitor", slow)
 
     def play(peer: Peer, lines: Lines) -> None:
         peer.drive(0.2)
@@ -586,14 +585,14 @@ def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(
     """A pass over one takes 25 ms; what is left out is never freed."""
     path = car(tmp_path, channel)
     built: list[weakref.ref[Engine]] = []
-    build = service_module.build_monitor
+    build = assembly.build_monitor
 
     def watched(*args: Any, **options: Any) -> Monitor:
         monitor = build(*args, **options)
         built.append(weakref.ref(monitor.engine))
         return monitor
 
-    monkeypatch.setattr(service_module, "build_monitor", watched)
+    monkeypatch.setattr(assembly, "build_monitor", watched)
     gc.unfreeze()
     left_out = []
     here = []

@@ -19,12 +19,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.coasting import (
-    Run,
-    Stretch,
-    coasting,
-    run_of,
-)
+from bstm_daemon.analysis.identify import coasting
 from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.analysis.quality.channels import window_mean
@@ -78,7 +73,7 @@ class CoastDown:
     windows: int
     road: Road
     bias_ms2: float | None
-    runs: tuple[Run, ...]
+    runs: tuple[coasting.Run, ...]
     searched: tuple[str, ...]
     remarks: tuple[str, ...]
 
@@ -105,10 +100,10 @@ def identify_coast_down(
     Raises:
         LogError: no log has a coast-down; says what was searched.
     """
-    stretches: list[Stretch] = []
+    stretches: list[coasting.Stretch] = []
     searched = []
     for driving in drivings:
-        found, words = coasting(driving)
+        found, words = coasting.coasting(driving)
         stretches += found
         searched.append(f"{driving.name}: {words}")
     if not stretches:
@@ -130,7 +125,7 @@ def identify_coast_down(
 
 
 def _result(
-    stretches: Sequence[Stretch],
+    stretches: Sequence[coasting.Stretch],
     fit: Fit,
     vehicle: VehicleConfig,
     held: Collection[str],
@@ -193,7 +188,7 @@ def _result(
         road,
         bias_ms2,
         tuple(
-            run_of(stretch, way, grade, car, bias_ms2=bias_ms2)
+            coasting.run_of(stretch, way, grade, car, bias_ms2=bias_ms2)
             for stretch, way, grade in zip(
                 stretches, directions, grades.tolist(), strict=True
             )
@@ -222,7 +217,7 @@ def _caveat(row: int, value: float, error: float, fit: Fit) -> str:
 
 
 def _remarks(
-    stretches: Sequence[Stretch],
+    stretches: Sequence[coasting.Stretch],
     road: Road,
     directions: list[int],
     *,
@@ -280,7 +275,9 @@ class Fit:
     with_sensor: bool
 
 
-def _windows(stretches: Sequence[Stretch], *, with_sensor: bool) -> Matrix:
+def _windows(
+    stretches: Sequence[coasting.Stretch], *, with_sensor: bool
+) -> Matrix:
     """Return run, force [N] and the means of v^2 and v of each window, (4, k).
 
     The force is that of the resistances. With the accelerometer climbing is
@@ -315,7 +312,7 @@ def mean(values: Column) -> float:
 
 
 def fit_windows(
-    stretches: Sequence[Stretch],
+    stretches: Sequence[coasting.Stretch],
     vehicle: VehicleConfig,
     held: Collection[str],
     *,
@@ -374,7 +371,7 @@ def fit_windows(
     )
 
 
-def _apparent_ms2(stretch: Stretch) -> float:
+def _apparent_ms2(stretch: coasting.Stretch) -> float:
     """Return the mean of grade times g plus bias over the way."""
     driving, part = stretch.driving, stretch.points
     speed = driving.speed_ms[part]

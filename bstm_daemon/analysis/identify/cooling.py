@@ -8,24 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.identify.cool_downs import (
-    AXLES,
-    SPAN_MS,
-    SPAN_SHARE,
-    CoolDown,
-    cool_downs,
-    slow_of,
-)
+from bstm_daemon.analysis.identify import cool_downs, disc_loss
 from bstm_daemon.analysis.identify.cooling_fit import (
     CoolingFit,
     Series,
     fit_cooling,
     rms_k,
-)
-from bstm_daemon.analysis.identify.disc_loss import (
-    DiscLoss,
-    beyond_words,
-    disc_loss,
 )
 from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.identify.value import Value
@@ -91,7 +79,7 @@ class AxleCooling:
     """
 
     axle: str
-    disc: DiscLoss
+    disc: disc_loss.DiscLoss
     points: tuple[CoolingPoint, ...]
     table: tuple[tuple[float, float, bool], ...]
     still: float | None
@@ -114,16 +102,16 @@ def identify_cooling(drivings: Sequence[Driving], config: Config) -> Cooling:
     Raises:
         LogError: no log has a cool-down; says what was searched.
     """
-    downs: list[CoolDown] = []
+    downs: list[cool_downs.CoolDown] = []
     searched = []
     for driving in drivings:
-        found, words = cool_downs(slow_of(driving))
+        found, words = cool_downs.cool_downs(cool_downs.slow_of(driving))
         downs += found
         searched.append(words)
     losses = {
         name: loss
         for name in {down.corner for down in downs}
-        if (loss := disc_loss(config, name)) is not None
+        if (loss := disc_loss.disc_loss(config, name)) is not None
     }
     downs = [down for down in downs if down.corner in losses]
     if not downs:
@@ -131,7 +119,7 @@ def identify_cooling(drivings: Sequence[Driving], config: Config) -> Cooling:
         raise LogError(msg)
     axles = [
         _axle(axle, of_axle, losses)
-        for letter, axle in AXLES.items()
+        for letter, axle in cool_downs.AXLES.items()
         if (of_axle := [down for down in downs if down.corner[0] == letter])
     ]
     return Cooling(
@@ -139,7 +127,9 @@ def identify_cooling(drivings: Sequence[Driving], config: Config) -> Cooling:
     )
 
 
-def speed_groups(downs: Sequence[CoolDown]) -> tuple[list[int], list[float]]:
+def speed_groups(
+    downs: Sequence[cool_downs.CoolDown],
+) -> tuple[list[int], list[float]]:
     """Return the group of each of *downs* and each group's mean speed.
 
     Speeds that differ by no more than those within a cool-down are one group.
@@ -150,7 +140,9 @@ def speed_groups(downs: Sequence[CoolDown]) -> tuple[list[int], list[float]]:
     number, first = 0, float(speeds[order[0]])
     for place in order.tolist():
         speed = float(speeds[place])
-        is_next = speed - first > max(SPAN_MS, SPAN_SHARE * speed)
+        is_next = speed - first > max(
+            cool_downs.SPAN_MS, cool_downs.SPAN_SHARE * speed
+        )
         if is_next or (first == 0.0 < speed):
             number, first = number + 1, speed
         groups[place] = number
@@ -161,7 +153,9 @@ def speed_groups(downs: Sequence[CoolDown]) -> tuple[list[int], list[float]]:
 
 
 def _axle(
-    axle: str, downs: list[CoolDown], losses: dict[str, DiscLoss]
+    axle: str,
+    downs: list[cool_downs.CoolDown],
+    losses: dict[str, disc_loss.DiscLoss],
 ) -> AxleCooling:
     groups, speeds = speed_groups(downs)
     discs = [losses[down.corner] for down in downs]
@@ -240,7 +234,7 @@ def _caveat(value: float, error: float, whole: float) -> str:
 
 
 def _table(
-    points: Sequence[CoolingPoint], disc: DiscLoss
+    points: Sequence[CoolingPoint], disc: disc_loss.DiscLoss
 ) -> tuple[tuple[float, float, bool], ...]:
     """Return the table to configure: driven speeds, the others scaled.
 
@@ -274,7 +268,7 @@ def _table(
 def _remarks(
     drivings: Sequence[Driving],
     axles: Sequence[AxleCooling],
-    downs: Sequence[CoolDown],
+    downs: Sequence[cool_downs.CoolDown],
 ) -> tuple[str, ...]:
     remarks = [f"{d.name}: {text}" for d in drivings for text in d.remarks]
     speed_ms = np.concatenate([driving.speed_ms for driving in drivings])
@@ -283,7 +277,7 @@ def _remarks(
         end_ms = one.table[-1][0] if one.table else one.disc.speeds_ms[-1]
         share = float(np.mean(speed_ms > end_ms + NEAR_MS))
         if share > 0.0:
-            remarks.append(beyond_words(one.axle, share, end_ms))
+            remarks.append(disc_loss.beyond_words(one.axle, share, end_ms))
         best = one.fit.residual_k
         if one.other_residual_k * WRONG_FORM < best:
             other = "conductance" if one.disc.form == "rate" else "rate"

@@ -17,23 +17,12 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.identify import disc_loss
 from bstm_daemon.analysis.identify.cool_downs import AXLES, HOT_K, slow_of
-from bstm_daemon.analysis.identify.disc_loss import (
-    HIGHEST_K,
-    LOWEST_K,
-    DiscLoss,
-    HeatCapacities,
-    beyond_words,
-    disc_loss,
-    share_of_work,
-)
 from bstm_daemon.analysis.identify.driving import Driving
 from bstm_daemon.analysis.quality.braking import released_reading, resistance_n
 from bstm_daemon.analysis.quality.limits import GRID_S
-from bstm_daemon.analysis.statistics.levenberg_marquardt import (
-    Solution,
-    minimise,
-)
+from bstm_daemon.analysis.statistics import levenberg_marquardt
 from bstm_daemon.analysis.statistics.resampling import jackknife
 from bstm_daemon.analysis.statistics.series import (
     Column,
@@ -109,7 +98,7 @@ class BrakedAxle:
     """
 
     axle: str
-    disc: DiscLoss
+    disc: disc_loss.DiscLoss
     mean_speed_ms: float
     held_ms: tuple[float, float]
     s_per_s: Column
@@ -203,11 +192,11 @@ def identify_while_braking(
     found = [window for driving in drivings for window in windows_of(driving)]
     axles, counts = [], []
     for letter, axle in AXLES.items():
-        discs: dict[str, tuple[DiscLoss, float]] = {
-            corner.name: (loss, share_of_work(config, corner))
+        discs: dict[str, tuple[disc_loss.DiscLoss, float]] = {
+            corner.name: (loss, disc_loss.share_of_work(config, corner))
             for corner in config.corner
             if corner.name[0] == letter
-            and (loss := disc_loss(config, corner.name)) is not None
+            and (loss := disc_loss.disc_loss(config, corner.name)) is not None
         }
         windows = [window for window in found if window.corner in discs]
         times = {window.place for window in windows}
@@ -227,7 +216,7 @@ def identify_while_braking(
             "the resistances counts as braking"
         )
     remarks += [
-        beyond_words(axle.axle, *axle.beyond)
+        disc_loss.beyond_words(axle.axle, *axle.beyond)
         for axle in axles
         if axle.beyond[0] > 0.0
     ]
@@ -290,7 +279,7 @@ class BrakedLanes:
     def __init__(
         self,
         windows: Sequence[Window],
-        discs: Mapping[str, tuple[DiscLoss, float]],
+        discs: Mapping[str, tuple[disc_loss.DiscLoss, float]],
         held_ms: tuple[float, float],
     ) -> None:
         """Take *windows* and the speeds at which the line of S is held.
@@ -317,7 +306,7 @@ class BrakedLanes:
         self._blend = STEP_S * (still + (1.0 - still) * rising)
         radiation = np.array([loss.radiation_w_k4 for loss in losses])
         self._radiation = STEP_S * (1.0 - rising) * radiation
-        self._capacities = HeatCapacities(
+        self._capacities = disc_loss.HeatCapacities(
             losses, [loss.rate_form for loss in losses]
         )
 
@@ -345,7 +334,7 @@ class BrakedLanes:
             beside = self._radiation[step][:, None] * (now**4 - ambient**4)
             loss = rate * strength * self._blend[step][:, None]
             now = now + (work - beside) * per_capacity - loss * (now - ambient)
-            now = np.clip(now, LOWEST_K, HIGHEST_K)
+            now = np.clip(now, disc_loss.LOWEST_K, disc_loss.HIGHEST_K)
         return out
 
     def left(self, logs: Matrix) -> Matrix:
@@ -356,10 +345,10 @@ class BrakedLanes:
         model = self.march(np.exp(logs))
         return np.moveaxis(self.measured_k[:, :, None] - model, -1, 0)
 
-    def fit(self, start: Column) -> Solution:
+    def fit(self, start: Column) -> levenberg_marquardt.Solution:
         """Fit the logarithms of the values, from *start*."""
         wide = np.full(len(start), np.inf)
-        return minimise(
+        return levenberg_marquardt.minimise(
             lambda logs: self.left(logs).reshape(len(logs), -1),
             start,
             -wide,
@@ -371,7 +360,7 @@ class BrakedLanes:
 def _axle(
     axle: str,
     windows: Sequence[Window],
-    discs: Mapping[str, tuple[DiscLoss, float]],
+    discs: Mapping[str, tuple[disc_loss.DiscLoss, float]],
 ) -> BrakedAxle:
     loss = next(iter(discs.values()))[0]
     speeds = np.concatenate([w.speed_ms for w in windows])

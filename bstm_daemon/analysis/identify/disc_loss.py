@@ -13,17 +13,8 @@ import numpy as np
 
 from bstm_daemon.analysis.statistics.series import Column, Indices
 from bstm_daemon.config.sections import Config, CornerConfig
-from bstm_daemon.model.thermal.brake_corner import (
-    PADS,
-    CornerSpec,
-    cooling_beyond,
-    corner_spec,
-)
+from bstm_daemon.model.thermal import brake_corner, properties
 from bstm_daemon.model.thermal.partition import pad_share
-from bstm_daemon.model.thermal.properties import (
-    REFERENCE_K,
-    disc_heat_capacity,
-)
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
@@ -58,7 +49,9 @@ class DiscLoss:
         """Return S of the configuration at *speed_ms*, (n,)."""
         x, y = self.speeds_ms, self.s_per_s
         speed = np.asarray(speed_ms, np.float64)
-        end, twice = (cooling_beyond(x, y, n * x[-1]) for n in (1.0, 2.0))
+        end, twice = (
+            brake_corner.cooling_beyond(x, y, n * x[-1]) for n in (1.0, 2.0)
+        )
         power = np.log2(twice / end) if end > 0.0 else 0.0
         ratio = np.maximum(speed / x[-1], 1.0)
         return np.asarray(np.interp(speed, x, y) * ratio**power)
@@ -104,14 +97,14 @@ def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
         return None
     disc, pad = corner.disc, corner.pad
     thermal, cooling = config.thermal_of(corner), config.cooling_of(corner)
-    pads_m2 = PADS * pad.area_m2
+    pads_m2 = brake_corner.PADS * pad.area_m2
     eps_d, eps_p = thermal.disc_emissivity, thermal.pad_emissivity
     effective = 1.0 / (1.0 / eps_d + 1.0 / eps_p - 1.0)
     if thermal.disc_pad_radiation == "product":
         effective = eps_d * eps_p
     free_m2 = max(disc.total_area_m2 - pads_m2, 0.0)
     return DiscLoss(
-        disc_heat_capacity(disc),
+        properties.disc_heat_capacity(disc),
         disc.mass_kg * thermal.disc_mass_correction_factor,
         cooling.form == "rate",
         STEFAN_BOLTZMANN_W_M2K4 * eps_d * free_m2,
@@ -123,7 +116,7 @@ def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
     )
 
 
-def disc_part(spec: CornerSpec) -> float:
+def disc_part(spec: brake_corner.CornerSpec) -> float:
     """Return the part of a brake's work that heats its disc."""
     thermal = spec.thermal
     pads = pad_share(spec.disc_share, thermal.heat_partition_correction_factor)
@@ -134,7 +127,7 @@ def share_of_work(config: Config, corner: CornerConfig) -> float:
     """Return the disc's share of the car's brake work, as configured."""
     front = config.vehicle.front_share
     of_axle = front if corner.name[0] == "F" else 1.0 - front
-    return 0.5 * of_axle * disc_part(corner_spec(config, corner))
+    return 0.5 * of_axle * disc_part(brake_corner.corner_spec(config, corner))
 
 
 class HeatCapacities:
@@ -148,7 +141,7 @@ class HeatCapacities:
         self._inverse = np.array(
             [1.0 / loss.heat_capacity_j_k(kelvins) for loss in losses]
         )
-        at = np.full(1, REFERENCE_K)
+        at = np.full(1, properties.REFERENCE_K)
         self._reference = np.array(
             [
                 0.0 if rate else loss.heat_capacity_j_k(at)[0]

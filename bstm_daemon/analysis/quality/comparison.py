@@ -14,12 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import HALF, shifted
-from bstm_daemon.analysis.quality.limits import (
-    GRID_S,
-    LAG_CORRELATION,
-    LONGEST_LAG_S,
-)
 from bstm_daemon.analysis.statistics.series import Column, Mask
 
 _OUTLIER: Final = 5.0
@@ -31,7 +27,7 @@ _FLOORS: Final = 4.0
 _LEANS: Final = 0.03
 _FEWEST: Final = 20
 _LAG_FEWEST: Final = 60
-_BLOCK: Final = round(60.0 / GRID_S)
+_BLOCK: Final = round(60.0 / limits.GRID_S)
 _BLOCKS: Final = 12
 """The lag is sought in this many minutes at most."""
 
@@ -63,7 +59,7 @@ class Fit:
     @property
     def seconds(self) -> float:
         """Time that both channels were present."""
-        return self.samples * GRID_S
+        return self.samples * limits.GRID_S
 
     def beyond(self, tolerance: float) -> bool:
         """Whether line and medians are beyond ``1 / tolerance .. tolerance``.
@@ -99,7 +95,7 @@ def fit_channels(
     of the channels is constant.
     """
     lag_s = find_lag(reference, channel) if lagged else None
-    steps = 0 if lag_s is None else round(lag_s / GRID_S)
+    steps = 0 if lag_s is None else round(lag_s / limits.GRID_S)
     x, y = shifted(reference, steps), channel
     both = np.isfinite(x) & np.isfinite(y)
     if where is not None:
@@ -142,7 +138,7 @@ def find_lag(reference: Column, channel: Column) -> float | None:
     a grid step by a parabola through it and its neighbours.
     """
     x, y = _busiest(_changes(reference), _changes(channel))
-    reach = round(LONGEST_LAG_S / GRID_S)
+    reach = round(limits.LONGEST_LAG_S / limits.GRID_S)
     found = {
         k: _lagged_correlation(x, y, k)
         for k in range(-reach, reach + 1, _COARSE)
@@ -153,12 +149,12 @@ def find_lag(reference: Column, channel: Column) -> float | None:
             found[k] = _lagged_correlation(x, y, k)
     best = max(found, key=lambda k: abs(found[k]))
     peak = abs(found[best])
-    if peak < LAG_CORRELATION or abs(best) >= reach:
+    if peak < limits.LAG_CORRELATION or abs(best) >= reach:
         return None
     before, after = (abs(found.get(best + k, peak)) for k in (-1, 1))
     bend = before - 2.0 * peak + after
     part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    return float((best + np.clip(part, -0.5, 0.5)) * GRID_S)
+    return float((best + np.clip(part, -0.5, 0.5)) * limits.GRID_S)
 
 
 def spread(value: Column) -> float:
@@ -184,7 +180,7 @@ def _busiest(x: Column, y: Column) -> tuple[Column, Column]:
         return x, y
     power = np.nan_to_num(x[: blocks * _BLOCK]).reshape(blocks, _BLOCK) ** 2
     chosen = np.sort(np.argsort(power.sum(axis=1))[-_BLOCKS:])
-    gap = np.full(round(LONGEST_LAG_S / GRID_S), np.nan)
+    gap = np.full(round(limits.LONGEST_LAG_S / limits.GRID_S), np.nan)
 
     def joined(value: Column) -> Column:
         parts = [

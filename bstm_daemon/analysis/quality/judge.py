@@ -8,17 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.quality import braking
 from bstm_daemon.analysis.quality.accelerations import (
     LONGITUDINAL,
     compare_accelerations,
 )
 from bstm_daemon.analysis.quality.bends import compare_axles, compare_sides
-from bstm_daemon.analysis.quality.braking import (
-    check_resting,
-    compare_braking,
-    compare_pressures,
-    compare_switch,
-)
 from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS, Channels
 from bstm_daemon.analysis.quality.collisions import note_collisions
 from bstm_daemon.analysis.quality.finding import (
@@ -222,10 +217,10 @@ def _compare(channels: Channels, notes: Notes) -> None:
         others = [o for o in channels.alive(PRESSURES) if o != role]
         if others:
             find_frozen(channels, notes, (role,), channels.value(others[0]))
-    check_resting(channels, notes)
-    says = compare_braking(channels, notes)
-    compare_pressures(channels, notes, says)
-    compare_switch(channels, notes)
+    braking.check_resting(channels, notes)
+    says = braking.compare_braking(channels, notes)
+    braking.compare_pressures(channels, notes, says)
+    braking.compare_switch(channels, notes)
     check_temperatures(channels, notes)
 
 

@@ -15,11 +15,7 @@ from typing import Any, Final
 
 from cantools.database.can import Database, Message, Signal
 
-from bstm_daemon.bus.signals.dbc import (
-    UnusableSignalError,
-    multiplexers,
-    raw_signal,
-)
+from bstm_daemon.bus.signals import dbc
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
 from bstm_daemon.roles import CORNERS, ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, unit_named
@@ -214,10 +210,10 @@ def _readable(database: Database) -> Iterator[tuple[Message, Signal]]:
 
 def _is_readable(message: Message, signal: Signal) -> bool:
     try:
-        for parent, _ in multiplexers(message, signal.name):
-            raw_signal(message, parent)
-        raw_signal(message, signal.name)
-    except UnusableSignalError:
+        for parent, _ in dbc.multiplexers(message, signal.name):
+            dbc.raw_signal(message, parent)
+        dbc.raw_signal(message, signal.name)
+    except dbc.UnusableSignalError:
         return False
     return True
 

@@ -10,16 +10,7 @@ import time
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Any, Final
 
-from bstm_daemon.bus.live.link import (
-    CLASSIC_BYTES,
-    DRAIN_LIMIT,
-    Frame,
-    LinkEvent,
-    LinkState,
-    SendResult,
-    Wanted,
-    require_classic,
-)
+from bstm_daemon.bus.live import link
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
 from bstm_daemon.errors import ConfigError, hint
 
@@ -49,15 +40,15 @@ class PortableLink:
     to wait gives up at the first frame that its filter refuses.
     """
 
-    def __init__(self, bus: BusConfig, wanted: Wanted = None) -> None:
+    def __init__(self, bus: BusConfig, wanted: link.Wanted = None) -> None:
         """Prepare the link of *bus* for *wanted*; nothing is opened yet."""
         self.channel = bus.channel
-        self.state = LinkState.GONE
+        self.state = link.LinkState.GONE
         self.reason = "not opened yet"
         self.receive_buffer_bytes: int | None = None
         self.dropped = 0
         """Stays 0: python-can does not report what an adapter loses."""
-        self.counts: Counter[LinkEvent] = Counter()
+        self.counts: Counter[link.LinkEvent] = Counter()
         self._config = bus
         self._wanted = None if wanted is None else frozenset(wanted)
         self._bus: can.BusABC | None = None
@@ -96,19 +87,19 @@ class PortableLink:
         except (can.CanError, OSError) as error:
             self.reason = f"{self.channel}: {error}"
             return False
-        self.state = LinkState.UP
+        self.state = link.LinkState.UP
         self.reason = ""
         return True
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> list[link.Frame]:
         """Return the frames that wait, at most ``DRAIN_LIMIT``."""
         import can  # noqa: PLC0415
 
-        frames: list[Frame] = []
+        frames: list[link.Frame] = []
         if self._bus is None:
             return frames
         try:
-            for _ in range(DRAIN_LIMIT):
+            for _ in range(link.DRAIN_LIMIT):
                 message = self._bus.recv(timeout=0)
                 if message is None:
                     break
@@ -117,17 +108,17 @@ class PortableLink:
                     frames.append(frame)
         except (can.CanError, OSError) as error:
             self.close()
-            self.counts[LinkEvent.WENT_GONE] += 1
+            self.counts[link.LinkEvent.WENT_GONE] += 1
             self.reason = f"{self.channel}: {error}"
         return frames
 
-    def _frame(self, message: can.Message) -> Frame | None:
+    def _frame(self, message: can.Message) -> link.Frame | None:
         """Return *message* as a frame; None for one not wanted."""
         can_id = message.arbitration_id
         extended = message.is_extended_id
         is_error = message.is_error_frame
         if is_error:
-            self.counts[LinkEvent.ERROR_FRAME] += 1
+            self.counts[link.LinkEvent.ERROR_FRAME] += 1
             extended = False
         elif (
             self._wanted is not None and (can_id, extended) not in self._wanted
@@ -138,11 +129,13 @@ class PortableLink:
         if sent in self._sent:
             self._sent.remove(sent)
             return None
-        lengths = FD_LENGTHS if message.is_fd else range(CLASSIC_BYTES + 1)
+        lengths = (
+            FD_LENGTHS if message.is_fd else range(link.CLASSIC_BYTES + 1)
+        )
         if len(data) not in lengths:
-            self.counts[LinkEvent.MALFORMED] += 1
+            self.counts[link.LinkEvent.MALFORMED] += 1
             return None
-        return Frame(
+        return link.Frame(
             stamp_or_now_ns(message.timestamp, time.time_ns()),
             can_id,
             extended,
@@ -165,7 +158,7 @@ class PortableLink:
         can_id: int,
         extended: bool,  # noqa: FBT001  (part of a frame's key)
         data: bytes,
-    ) -> SendResult:
+    ) -> link.SendResult:
         """Send a classic frame now or never.
 
         Raises:
@@ -173,9 +166,9 @@ class PortableLink:
         """
         import can  # noqa: PLC0415
 
-        require_classic(data)
+        link.require_classic(data)
         if self._bus is None:
-            return SendResult.LOST
+            return link.SendResult.LOST
         message = can.Message(
             arbitration_id=can_id, is_extended_id=extended, data=data
         )
@@ -183,17 +176,17 @@ class PortableLink:
             self._bus.send(message, timeout=0)
         except (can.CanError, OSError) as error:
             self.reason = f"{self.channel} takes no frames: {error}"
-            return SendResult.LOST
+            return link.SendResult.LOST
         self.reason = ""
         self._sent.append((can_id, extended, data))
-        return SendResult.OK
+        return link.SendResult.OK
 
     def close(self) -> None:
         """End receiving; may be opened again."""
         import can  # noqa: PLC0415
 
         bus, self._bus = self._bus, None
-        self.state = LinkState.GONE
+        self.state = link.LinkState.GONE
         self.reason = "closed"
         if bus is not None:
             try:

@@ -13,13 +13,8 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Final
 
+from bstm_daemon.bus.live import link
 from bstm_daemon.bus.live.frame_records import FrameRecords
-from bstm_daemon.bus.live.link import (
-    CLASSIC_BYTES,
-    DRAIN_LIMIT,
-    Frame,
-    LinkEvent,
-)
 from bstm_daemon.bus.signals.extraction import FD_LENGTHS
 
 EXTENDED_FLAG: Final = 0x80000000
@@ -60,15 +55,15 @@ would fill the receive buffer just when it is needed; what follows from them
 """
 
 _BY_CLASS: Final = (
-    (_BUS_OFF, LinkEvent.BUS_OFF),
-    (_RESTARTED, LinkEvent.RESTARTED),
-    (_TX_TIMEOUT, LinkEvent.TX_TIMEOUT),
-    (_TRANSCEIVER, LinkEvent.TRANSCEIVER),
+    (_BUS_OFF, link.LinkEvent.BUS_OFF),
+    (_RESTARTED, link.LinkEvent.RESTARTED),
+    (_TX_TIMEOUT, link.LinkEvent.TX_TIMEOUT),
+    (_TRANSCEIVER, link.LinkEvent.TRANSCEIVER),
 )
 _BY_CONTROLLER_BIT: Final = (
-    (0x01, LinkEvent.OVERRUN),
-    (0x0C, LinkEvent.WARNING),
-    (0x30, LinkEvent.PASSIVE),
+    (0x01, link.LinkEvent.OVERRUN),
+    (0x0C, link.LinkEvent.WARNING),
+    (0x30, link.LinkEvent.PASSIVE),
 )
 """Bits of ``data[1]`` of an error frame of the class controller; either
 direction counts."""
@@ -87,7 +82,7 @@ class FrameReceiver:
     )
 
     def __init__(
-        self, source: socket.socket, counts: Counter[LinkEvent]
+        self, source: socket.socket, counts: Counter[link.LinkEvent]
     ) -> None:
         """Read *source*, set not to block; count into *counts*."""
         source.setblocking(False)
@@ -137,7 +132,7 @@ class FrameReceiver:
         )
         records.filled = first + frames
         if malformed:
-            self._counts[LinkEvent.MALFORMED] += malformed
+            self._counts[link.LinkEvent.MALFORMED] += malformed
         if drops >= 0:
             self.note_drops(drops)
         if errors:
@@ -147,14 +142,14 @@ class FrameReceiver:
                     self._note_error(frame.can_id, frame.data)
         return fault
 
-    def receive(self, frames: list[Frame]) -> int:
+    def receive(self, frames: list[link.Frame]) -> int:
         """Append what waits, up to ``DRAIN_LIMIT`` frames in *frames*.
 
         Returns 0 at the limit, else the ``errno`` that ended the reading:
         ``EAGAIN`` where nothing is left. After any other one the socket may
         still hold frames that came before.
         """
-        for _ in range(DRAIN_LIMIT - len(frames)):
+        for _ in range(link.DRAIN_LIMIT - len(frames)):
             try:
                 message, ancillary, _, _ = self._receive(
                     _READ_SIZE, _ANCILLARY_SIZE
@@ -166,7 +161,7 @@ class FrameReceiver:
                 frames.append(frame)
         return 0
 
-    def _frame(self, message: bytes, stamp_ns: int) -> Frame | None:
+    def _frame(self, message: bytes, stamp_ns: int) -> link.Frame | None:
         """Return the frame in *message*; None where it is none, or unwanted.
 
         Malformed messages and error frames are counted.
@@ -177,26 +172,26 @@ class FrameReceiver:
         if size in (_CLASSIC_SIZE, _FD_SIZE):
             word, length = _HEAD.unpack_from(message)
             fits = (
-                length <= CLASSIC_BYTES
+                length <= link.CLASSIC_BYTES
                 if size == _CLASSIC_SIZE
                 else length in FD_LENGTHS and not word & (_REMOTE | _ERROR)
             )
         if not fits:
-            self._counts[LinkEvent.MALFORMED] += 1
+            self._counts[link.LinkEvent.MALFORMED] += 1
             return None
         data = message[_HEAD_SIZE : _HEAD_SIZE + length]
         if word & _ERROR:
             classes = word & _EXTENDED_MASK
             self._note_error(classes, data)
-            return Frame(stamp_ns, classes, False, data, True, False)
+            return link.Frame(stamp_ns, classes, False, data, True, False)
         extended = word & EXTENDED_FLAG != 0
         can_id = word & (_EXTENDED_MASK if extended else _STANDARD_MASK)
         if word & _REMOTE:
             # its length is that of the frame it asks for; it has no data
-            return Frame(stamp_ns, can_id, extended, b"", False, True)
+            return link.Frame(stamp_ns, can_id, extended, b"", False, True)
         if self._only is not None and word not in self._only:
             return None
-        return Frame(stamp_ns, can_id, extended, data, False, False)
+        return link.Frame(stamp_ns, can_id, extended, data, False, False)
 
     def _stamp_ns(self, ancillary: list[tuple[int, int, bytes]]) -> int:
         """Return the stamp; note the count of drops where there is one."""
@@ -216,7 +211,7 @@ class FrameReceiver:
 
     def _note_error(self, classes: int, data: bytes) -> None:
         """Count what an error frame of these *classes* reports."""
-        self._counts[LinkEvent.ERROR_FRAME] += 1
+        self._counts[link.LinkEvent.ERROR_FRAME] += 1
         for bit, event in _BY_CLASS:
             if classes & bit:
                 self._counts[event] += 1

@@ -22,13 +22,8 @@ import cantools.database
 from cantools.database.can import Database, Message, Signal
 from cantools.database.errors import UnsupportedDatabaseFormatError
 
+from bstm_daemon.bus.signals import dbc_text
 from bstm_daemon.bus.signals.dbc_survey import MessageOutline, Survey
-from bstm_daemon.bus.signals.dbc_text import (
-    DbcDefect,
-    decode_dbc,
-    statements_of,
-    without,
-)
 from bstm_daemon.bus.signals.extraction import RawSignal
 from bstm_daemon.config.limits import DBC_BYTES, read_limited
 from bstm_daemon.errors import ConfigError
@@ -114,7 +109,7 @@ class LoadedDbc:
     """A database and what had to be overlooked to load it."""
 
     database: Database
-    warnings: tuple[DbcDefect, ...]
+    warnings: tuple[dbc_text.DbcDefect, ...]
 
 
 def load_dbc(path: Path, *, strict: bool, encoding: str) -> Database:
@@ -133,7 +128,7 @@ def read_dbc(path: Path, *, strict: bool, encoding: str) -> LoadedDbc:
     """
     try:
         content = read_limited(path, DBC_BYTES)
-        text, defects = decode_dbc(content, encoding)
+        text, defects = dbc_text.decode_dbc(content, encoding)
     except OSError as error:
         reason = error.strerror or str(error)
         raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
@@ -215,7 +210,7 @@ def multiplexers(
 
 def layout_defects(
     database: Database, outlines: list[MessageOutline]
-) -> list[DbcDefect]:
+) -> list[dbc_text.DbcDefect]:
     """List signals beyond the end of their message and those that overlap.
 
     Signals that are never in the same frame do not overlap. One entry a
@@ -268,7 +263,7 @@ def _load(text: str) -> tuple[Database, Survey]:
     except UnsupportedDatabaseFormatError as error:
         attributes = [
             statement
-            for statement in statements_of(cleaned)
+            for statement in dbc_text.statements_of(cleaned)
             if statement.keyword.startswith("BA_")
         ]
         if not attributes:
@@ -277,8 +272,8 @@ def _load(text: str) -> tuple[Database, Survey]:
             "the attributes (BA_...) cannot be read and are dropped, cycle "
             f"times, long names and CAN FD marks with them: {error.e_dbc}"
         )
-        survey.defects.append(DbcDefect(attributes[0].line, reason))
-        return _parse(without(cleaned, attributes)), survey
+        survey.defects.append(dbc_text.DbcDefect(attributes[0].line, reason))
+        return _parse(dbc_text.without(cleaned, attributes)), survey
 
 
 def _parse(text: str) -> Database:
@@ -294,11 +289,11 @@ def _layout_defect(
     outline: MessageOutline | None,
     names: list[str],
     reason: str,
-) -> DbcDefect:
+) -> dbc_text.DbcDefect:
     line = outline.line if outline else 0
     if outline and names[0] in outline.signals:
         line = outline.signals[names[0]].line
-    return DbcDefect(line, reason, message.name, tuple(names))
+    return dbc_text.DbcDefect(line, reason, message.name, tuple(names))
 
 
 def _multiplexer(message: Message, signal: Signal) -> Signal:

@@ -16,11 +16,7 @@ from bstm_daemon.bus.signals.dbc_text import (
     edited,
     statements_of,
 )
-from bstm_daemon.config.limits import (
-    COMMENT_CHARACTERS,
-    MESSAGE_BYTES,
-    SIGNAL_BITS,
-)
+from bstm_daemon.config import limits
 
 _FORM_SHOWN: Final = {
     "BO_": "BO_ id name: bytes sender",
@@ -154,15 +150,15 @@ class Survey:
             )
         elif bits == 0:
             reason = f"signal {name!r} has no bits: dropped"
-        elif bits > SIGNAL_BITS:
+        elif bits > limits.SIGNAL_BITS:
             reason = (
-                f"signal {name!r} has {bits} bits, more than {SIGNAL_BITS}: "
-                "dropped"
+                f"signal {name!r} has {bits} bits, more than "
+                f"{limits.SIGNAL_BITS}: dropped"
             )
-        elif start >= 8 * MESSAGE_BYTES:
+        elif start >= 8 * limits.MESSAGE_BYTES:
             reason = (
                 f"signal {name!r} begins at bit {start}, beyond "
-                f"{MESSAGE_BYTES} bytes: dropped"
+                f"{limits.MESSAGE_BYTES} bytes: dropped"
             )
         else:
             if marker == "m":
@@ -194,7 +190,7 @@ class Survey:
         """Look at a statement about a message or signal declared above."""
         if statement.keyword == "CM_":
             size = len(statement.text)
-            if size > COMMENT_CHARACTERS:
+            if size > limits.COMMENT_CHARACTERS:
                 reason = f"a comment of {size} characters: left out"
                 self._edits.append(statement.dropped())
                 self.defects.append(
@@ -309,8 +305,8 @@ def _message_problem(dbc_id: int, size: int) -> str:
     bits = 29 if extended else 11
     if (dbc_id ^ extended) >> bits:
         return f"its id {dbc_id} has more than {bits} bits: dropped"
-    if size > MESSAGE_BYTES:
-        return f"has {size} bytes, more than {MESSAGE_BYTES}: dropped"
+    if size > limits.MESSAGE_BYTES:
+        return f"has {size} bytes, more than {limits.MESSAGE_BYTES}: dropped"
     return ""
 
 

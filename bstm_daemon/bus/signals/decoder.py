@@ -9,13 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from bstm_daemon.bus.signals import extraction
 from bstm_daemon.bus.signals.expression import evaluate, signal_names
-from bstm_daemon.bus.signals.extraction import (
-    Condition,
-    MessagePlan,
-    Output,
-    RawSignal,
-)
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 from bstm_daemon.bus.signals.signal_map import SignalMap
 
@@ -84,7 +79,7 @@ class _MessageDecoder:
 
     __slots__ = ("_gaps", "_names", "_outputs", "_signals", "length")
 
-    def __init__(self, plan: MessagePlan) -> None:
+    def __init__(self, plan: extraction.MessagePlan) -> None:
         self.length = plan.length
         self._names = [signal.name for signal in plan.signals]
         self._signals = [
@@ -154,7 +149,7 @@ class _MessageDecoder:
                 counts[RejectReason.OUT_OF_RANGE] += 1
         return samples
 
-    def _sources(self, output: Output) -> frozenset[int]:
+    def _sources(self, output: extraction.Output) -> frozenset[int]:
         """Return the positions of the signals that *output* is made of."""
         if output.expression is None:
             return frozenset({output.index})
@@ -187,20 +182,22 @@ class _MessageDecoder:
         return values
 
 
-def _holds(conditions: Sequence[Condition], values: Sequence[float]) -> bool:
+def _holds(
+    conditions: Sequence[extraction.Condition], values: Sequence[float]
+) -> bool:
     return all(
         math.isfinite(values[signal]) and int(values[signal]) in allowed
         for signal, allowed in conditions
     )
 
 
-def _shift(signal: RawSignal, frame_bits: int) -> int:
+def _shift(signal: extraction.RawSignal, frame_bits: int) -> int:
     if signal.big_endian:
         return frame_bits - signal.start - signal.length
     return signal.start
 
 
-def _float_reader(signal: RawSignal) -> Callable[[int], float]:
+def _float_reader(signal: extraction.RawSignal) -> Callable[[int], float]:
     unpack = struct.Struct(_FLOAT_CODES[signal.length]).unpack
     size = signal.length // 8
     return lambda bits: float(unpack(bits.to_bytes(size, "little"))[0])

@@ -6,12 +6,7 @@ so that both refuse the same ones. A refused frame is refused whole.
 
 from typing import Final
 
-from bstm_daemon.bus.output.e2e import (
-    Checker,
-    CheckStatus,
-    Profile2Checker,
-    Profile5Checker,
-)
+from bstm_daemon.bus.output import e2e
 from bstm_daemon.bus.signals.decoder import Payload
 from bstm_daemon.bus.signals.extraction import FrameKey
 from bstm_daemon.bus.signals.reject_reason import RejectReason
@@ -19,9 +14,9 @@ from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.service import E2eConfig
 
 _REFUSALS: Final = {
-    CheckStatus.WRONG_CRC: RejectReason.WRONG_CRC,
-    CheckStatus.REPEATED: RejectReason.REPEATED_COUNTER,
-    CheckStatus.WRONG_SEQUENCE: RejectReason.WRONG_SEQUENCE,
+    e2e.CheckStatus.WRONG_CRC: RejectReason.WRONG_CRC,
+    e2e.CheckStatus.REPEATED: RejectReason.REPEATED_COUNTER,
+    e2e.CheckStatus.WRONG_SEQUENCE: RejectReason.WRONG_SEQUENCE,
 }
 
 
@@ -35,7 +30,9 @@ class E2eGuard:
     def __init__(self, signal_map: SignalMap) -> None:
         """Expect what ``signal_map.protected`` declares."""
         # looked up with plain tuples, which equal the keys and cost less
-        self._checkers: dict[tuple[int, int, bool], tuple[int, Checker]] = {}
+        self._checkers: dict[
+            tuple[int, int, bool], tuple[int, e2e.Checker]
+        ] = {}
         for key, config in signal_map.protected.items():
             length = signal_map.messages[key].length
             self._checkers[key] = length, _checker(config, length)
@@ -63,12 +60,12 @@ class E2eGuard:
         return _REFUSALS.get(status)
 
 
-def _checker(config: E2eConfig, length: int) -> Checker:
+def _checker(config: E2eConfig, length: int) -> e2e.Checker:
     if config.profile == 2:
-        return Profile2Checker(
+        return e2e.Profile2Checker(
             config.data_ids, length=length, max_delta=config.max_delta
         )
-    return Profile5Checker(
+    return e2e.Profile5Checker(
         config.data_ids[0],
         length=length,
         offset_bytes=config.offset_bytes,

@@ -16,11 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from bstm_daemon.config.limits import (
-    EXPRESSION_CHARACTERS,
-    EXPRESSION_DEPTH,
-    EXPRESSION_TERMS,
-)
+from bstm_daemon.config import limits
 
 _TOKEN: Final = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
@@ -67,10 +63,10 @@ def parse_expression(text: str) -> Expression:
     Raises :class:`ExpressionError` with the position (the first character is
     1) of what is wrong, also when *text* names no signal at all.
     """
-    if len(text) > EXPRESSION_CHARACTERS:
+    if len(text) > limits.EXPRESSION_CHARACTERS:
         msg = (
-            f"has {len(text)} characters, at most {EXPRESSION_CHARACTERS} are "
-            "read"
+            f"has {len(text)} characters, at most "
+            f"{limits.EXPRESSION_CHARACTERS} are read"
         )
         raise ExpressionError(msg)
     tree = _Parser(text).parse()
@@ -141,10 +137,10 @@ class _Parser:
     def __init__(self, text: str) -> None:
         self._tokens = _tokenize(text)
         terms = [at for kind, _, at in self._tokens if kind in _TERMS]
-        if len(terms) > EXPRESSION_TERMS:
+        if len(terms) > limits.EXPRESSION_TERMS:
             msg = (
-                f"position {terms[EXPRESSION_TERMS]}: more than "
-                f"{EXPRESSION_TERMS} numbers and names"
+                f"position {terms[limits.EXPRESSION_TERMS]}: more than "
+                f"{limits.EXPRESSION_TERMS} numbers and names"
             )
             raise ExpressionError(msg)
         self._at = 0
@@ -158,8 +154,8 @@ class _Parser:
 
     def _sum(self) -> Expression:
         self._depth += 1
-        if self._depth > EXPRESSION_DEPTH:
-            self._fail(f"nested deeper than {EXPRESSION_DEPTH}")
+        if self._depth > limits.EXPRESSION_DEPTH:
+            self._fail(f"nested deeper than {limits.EXPRESSION_DEPTH}")
         tree = self._product()
         while self._text() in ("+", "-"):
             sign = self._next()

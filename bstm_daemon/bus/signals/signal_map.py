@@ -20,12 +20,7 @@ from cantools.database.can import Database, Message
 
 from bstm_daemon.bus.output.e2e import PROFILE2_BYTES, PROFILE5_BYTES
 from bstm_daemon.bus.output.layout import BLOCK_IDS
-from bstm_daemon.bus.signals.dbc import (
-    UnusableSignalError,
-    multiplexers,
-    raw_signal,
-    read_dbc,
-)
+from bstm_daemon.bus.signals import dbc
 from bstm_daemon.bus.signals.dbc_text import DbcDefect
 from bstm_daemon.bus.signals.expression import (
     Expression,
@@ -184,7 +179,7 @@ class MessageDraft:
     def index(self, name: str) -> int:
         """Return the position of the signal *name*, added when new."""
         if name not in self.signals:
-            self.signals[name] = raw_signal(self.message, name)
+            self.signals[name] = dbc.raw_signal(self.message, name)
         return list(self.signals).index(name)
 
     def conditions(self, names: Iterable[str]) -> tuple[Condition, ...]:
@@ -192,7 +187,7 @@ class MessageDraft:
         found = [
             Condition(self.index(parent), values)
             for name in names
-            for parent, values in multiplexers(self.message, name)
+            for parent, values in dbc.multiplexers(self.message, name)
         ]
         return tuple(dict.fromkeys(found))
 
@@ -223,7 +218,7 @@ class _Compiler:
         self._databases: dict[str, Database] = {}
         for bus in buses:
             try:
-                loaded = read_dbc(
+                loaded = dbc.read_dbc(
                     base / bus.dbc, strict=bus.strict, encoding=bus.encoding
                 )
             except ConfigError as error:
@@ -254,7 +249,7 @@ class _Compiler:
             try:
                 index = min(draft.index(name) for name in names)
                 conditions = draft.conditions(names)
-            except UnusableSignalError as error:
+            except dbc.UnusableSignalError as error:
                 problems.add(*_source_key(config), str(error))
                 return
             draft.outputs.append(

@@ -13,14 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from bstm_daemon import errors
 from bstm_daemon.bus.logs.mf4 import worded_damage
 from bstm_daemon.bus.tables.source import TableChunk, TableSource
-from bstm_daemon.errors import (
-    BstmError,
-    FileAccessError,
-    LogError,
-    MissingExtraError,
-)
 
 
 class BinarySource(TableSource):
@@ -41,7 +36,7 @@ class BinarySource(TableSource):
         try:
             library = import_module(self._module)
         except ImportError as error:
-            raise MissingExtraError(
+            raise errors.MissingExtraError(
                 package=self._module.partition(".")[0],
                 extra=self._extra,
                 purpose=f"{path}: {self._kind}",
@@ -109,7 +104,7 @@ class ParquetSource(BinarySource):
                 f"{self._path}: column {name!r} is of type {kind}, neither "
                 "numbers nor texts nor times"
             )
-            raise LogError(msg) from error
+            raise errors.LogError(msg) from error
         return np.asarray(floats.to_numpy(zero_copy_only=False))
 
 
@@ -142,7 +137,7 @@ class Hdf5Source(BinarySource):
         if len(set(sizes.values())) > 1:
             listed = ", ".join(f"{n} {size}" for n, size in sizes.items())
             msg = f"{self._path}: columns of different length: {listed}"
-            raise LogError(msg)
+            raise errors.LogError(msg)
         total = next(iter(sizes.values()), 0)
         for start in range(0, total, self._chunk_rows):
             end = min(start + self._chunk_rows, total)
@@ -255,11 +250,11 @@ def naming_damage(path: Path) -> Iterator[None]:
     """Name *path* in what a library raises of a file."""
     try:
         yield
-    except BstmError:
+    except errors.BstmError:
         raise
     except FileNotFoundError as error:
         msg = f"{path}: cannot be read: {error.strerror or error}"
-        raise FileAccessError(msg) from error
+        raise errors.FileAccessError(msg) from error
     except Exception as error:  # they raise anything on damage
         msg = f"{path}: damaged: {worded_damage(error)}"
-        raise LogError(msg) from error
+        raise errors.LogError(msg) from error

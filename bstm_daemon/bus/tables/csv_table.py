@@ -21,12 +21,7 @@ import numpy as np
 
 from bstm_daemon.bus.signals.dbc_text import guess_encoding
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.bus.tables.source import (
-    TableChunk,
-    TableSource,
-    numbers,
-    units_in_names,
-)
+from bstm_daemon.bus.tables import source
 from bstm_daemon.errors import FileAccessError, LogError
 from bstm_daemon.units import unit_named
 
@@ -86,10 +81,10 @@ def read_head(lines: Sequence[str], delimiter: str | None) -> Head:
         rows = [cells_of(beginning, one) for one in delimiter or _DELIMITERS]
         names = max(rows, key=len)
         one = (delimiter or _DELIMITERS)[rows.index(names)]
-        return Head(names, one, units=units_in_names(names))
+        return Head(names, one, units=source.units_in_names(names))
     one, rows, place, first, like = best
     names, below = rows[place], rows[place + 1]
-    units = units_in_names(names)
+    units = source.units_in_names(names)
     if place + 1 < first and _is_units(below):
         stated = zip(names, below, strict=False)
         units |= {name: text for name, text in stated if text}
@@ -129,7 +124,7 @@ def _names_above(rows: Sequence[list[str]], first: int) -> int | None:
 def _is_values(row: list[str]) -> bool:
     """Whether more than half of the cells that are there are values."""
     there = [cell.replace(",", ".") for cell in row if cell]
-    unreadable = numbers(there).unreadable.tolist()
+    unreadable = source.numbers(there).unreadable.tolist()
     values = [
         not is_text or _DATE.fullmatch(cell)
         for cell, is_text in zip(there, unreadable, strict=True)
@@ -159,7 +154,7 @@ _LINE_LIMIT: Final = 1 << 20
 _NUMBER_BEGINS: Final = tuple("+-,0123456789")
 
 
-class CsvSource(TableSource):
+class CsvSource(source.TableSource):
     """A CSV table, plain or packed with gzip.
 
     The text is UTF-8, or cp1252 where its head is not.
@@ -189,7 +184,7 @@ class CsvSource(TableSource):
         """Return the unit texts of names and unit row; raises as names."""
         return self._head.units
 
-    def chunks(self, columns: Collection[str]) -> Iterator[TableChunk]:
+    def chunks(self, columns: Collection[str]) -> Iterator[source.TableChunk]:
         """Yield the cells of *columns*; raises as :meth:`names`."""
         rows = self._read(columns)
         next(rows)
@@ -202,7 +197,7 @@ class CsvSource(TableSource):
 
     def _read(
         self, columns: Collection[str]
-    ) -> Iterator[tuple[Head, TableChunk]]:
+    ) -> Iterator[tuple[Head, source.TableChunk]]:
         """Yield the head and an empty chunk first, then the chunks."""
         try:
             size = max(self._path.stat().st_size, 1)
@@ -217,7 +212,7 @@ class CsvSource(TableSource):
                 )
                 begin = list(islice(lines, len(first)))
                 head = self._head_of(begin)
-                yield head, TableChunk(0, np.empty(0, np.int64), {})
+                yield head, source.TableChunk(0, np.empty(0, np.int64), {})
                 places = {name: head.names.index(name) for name in columns}
                 reader = csv.reader(
                     chain(begin[head.lines :], lines),
@@ -257,7 +252,7 @@ class CsvSource(TableSource):
 
     def _chunks(
         self, reader: Any, head: Head, places: dict[str, int]
-    ) -> Iterator[TableChunk]:
+    ) -> Iterator[source.TableChunk]:
         width = len(head.names)
         kept: list[list[str]] = []
         lines: list[int] = []
@@ -275,7 +270,9 @@ class CsvSource(TableSource):
                 }
                 if head.decimal_comma:
                     cells = {n: _with_points(one) for n, one in cells.items()}
-                yield TableChunk(total, np.array(lines, np.int64), cells)
+                yield source.TableChunk(
+                    total, np.array(lines, np.int64), cells
+                )
                 kept, lines, total = [], [], 0
             if row is None:
                 return

@@ -19,19 +19,9 @@ import structlog
 from bstm_daemon.bus.logs.reader import LINES_KEPT
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.bus.signals.reject_reason import RejectReason
-from bstm_daemon.bus.tables.binary import (
-    BinarySource,
-    Hdf5Source,
-    ParquetSource,
-)
+from bstm_daemon.bus.tables import binary, source
 from bstm_daemon.bus.tables.channels import Mf4Source, XrkSource
 from bstm_daemon.bus.tables.csv_table import CsvSource
-from bstm_daemon.bus.tables.source import (
-    TableChunk,
-    TableSource,
-    numbers,
-    texts,
-)
 from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 from bstm_daemon.bus.tables.time_axis import TimeAxis
 from bstm_daemon.bus.tables.vbo import VboSource
@@ -39,11 +29,11 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLES
 from bstm_daemon.units import UNITS, unit_named
 
-_BINARY: Final[dict[str, type[BinarySource]]] = {
-    ".h5": Hdf5Source,
-    ".hdf5": Hdf5Source,
+_BINARY: Final[dict[str, type[binary.BinarySource]]] = {
+    ".h5": binary.Hdf5Source,
+    ".hdf5": binary.Hdf5Source,
     ".mf4": Mf4Source,
-    ".parquet": ParquetSource,
+    ".parquet": binary.ParquetSource,
     ".xrk": XrkSource,
     ".xrz": XrkSource,
 }
@@ -152,7 +142,7 @@ class TableReader:
                 )
         return list(wanted)
 
-    def _events(self, chunk: TableChunk) -> Events:
+    def _events(self, chunk: source.TableChunk) -> Events:
         self.lines += chunk.rows
         if self._table.time is None:
             step_us = 1e6 / (self._table.rate_hz or 1.0)
@@ -167,7 +157,7 @@ class TableReader:
         counts: Counter[RejectReason] = Counter()
         rows, roles, values = [], [], []
         for output, picked in self._picked(chunk, timed):
-            cells = numbers(_at(chunk, self._column(output), picked))
+            cells = source.numbers(_at(chunk, self._column(output), picked))
             kept, value, outside = _judged(output, cells.value)
             for reason, which in (
                 (RejectReason.NOT_A_NUMBER, cells.unreadable),
@@ -192,7 +182,7 @@ class TableReader:
         )
 
     def _picked(
-        self, chunk: TableChunk, timed: npt.NDArray[np.bool_]
+        self, chunk: source.TableChunk, timed: npt.NDArray[np.bool_]
     ) -> Iterator[tuple[ColumnOutput, npt.NDArray[np.int64]]]:
         """Yield for each role the rows that may have a value of it."""
         if self._table.name is None:
@@ -200,7 +190,7 @@ class TableReader:
             for output in self._outputs:
                 yield output, every
             return
-        names = texts(chunk.cells[self._table.name])
+        names = source.texts(chunk.cells[self._table.name])
         if len(self._named) < _NAMES_KEPT:
             self._named.update(names)
         for output in self._outputs:
@@ -269,7 +259,7 @@ def open_source(
     path: Path,
     delimiter: str | None,
     refuse: Callable[[RejectReason, int], None],
-) -> TableSource:
+) -> source.TableSource:
     """Return the source of the table *path*, by its ending.
 
     Args:
@@ -297,7 +287,7 @@ def _role(output: ColumnOutput) -> str:
 
 
 def _at(
-    chunk: TableChunk, column: str, rows: npt.NDArray[np.int64]
+    chunk: source.TableChunk, column: str, rows: npt.NDArray[np.int64]
 ) -> list[str] | npt.NDArray[np.float64]:
     cells = chunk.cells[column]
     if not isinstance(cells, list):

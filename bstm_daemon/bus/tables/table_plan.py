@@ -9,12 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from bstm_daemon.bus.signals.signal_map import (
-    SignalMap,
-    compile_signal_map,
-    conversion_of,
-    timeouts_us,
-)
+from bstm_daemon.bus.signals import signal_map
 from bstm_daemon.config.sections import BusConfig, SignalConfig, TableConfig
 from bstm_daemon.config.service import E2eConfig
 from bstm_daemon.roles import ROLE_INDEX
@@ -42,7 +37,7 @@ class ColumnOutput:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableMap(SignalMap):
+class TableMap(signal_map.SignalMap):
     """The extraction plan of a configuration whose roles are columns."""
 
     table: TableConfig
@@ -61,7 +56,7 @@ def compile_sources(
     wheel_radius_m: float,
     *,
     e2e: Sequence[E2eConfig] = (),
-) -> SignalMap:
+) -> signal_map.SignalMap:
     """Compile *signals*, over the DBC files of *buses* or over *table*.
 
     Where no role is a column this is
@@ -70,19 +65,19 @@ def compile_sources(
     :class:`~bstm_daemon.errors.ConfigError` with all problems.
     """
     if table is None or any(one.column is None for one in signals.values()):
-        return compile_signal_map(
+        return signal_map.compile_signal_map(
             buses, signals, base, wheel_radius_m, e2e=e2e
         )
     return TableMap(
         buses=tuple(buses),
         messages={},
-        timeouts_us=timeouts_us(signals),
+        timeouts_us=signal_map.timeouts_us(signals),
         table=table,
         outputs=tuple(
             ColumnOutput(
                 ROLE_INDEX[name],
                 config.column or "",
-                *conversion_of(name, config, wheel_radius_m),
+                *signal_map.conversion_of(name, config, wheel_radius_m),
                 unit=_unit_of_cells(config),
             )
             for name, config in signals.items()
