@@ -21,7 +21,7 @@ from bstm_daemon.analysis.quality.channels import (
     Channels,
     window_mean,
 )
-from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
 from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
 from bstm_daemon.analysis.quality.recording import Recording, read_recording
@@ -214,21 +214,20 @@ def driving_of(
     Raises:
         LogError: it holds no usable speed.
     """
-    channels = Channels(recording, config, signal_map.timeouts_us)
-    notes = Notes()
+    channels = Checks(recording, config, signal_map.timeouts_us)
     with np.errstate(over="ignore", invalid="ignore"):
-        find_frozen_speeds(channels, notes)
-        compare_speeds(channels, notes)
+        find_frozen_speeds(channels)
+        compare_speeds(channels)
         if not channels.on_stand:
-            compare_accelerations(channels, notes)
+            compare_accelerations(channels)
     if not channels.speed_roles or channels.on_stand:
-        why = "; ".join(f.text for f in notes.findings if f.wrong)
+        why = "; ".join(f.text for f in channels.findings if f.wrong)
         what = "the car stood on a stand" if channels.on_stand else "no speed"
         msg = f"{name}: {what} in this log" + (f": {why}" if why else "")
         raise LogError(msg)
     remarks = [
         f"{', '.join(f.roles)} left out: {f.text}"
-        for f in notes.findings
+        for f in channels.findings
         if f.wrong and set(f.roles) <= channels.dead
     ]
     rate = channels.speed_rate()

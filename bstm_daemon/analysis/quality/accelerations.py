@@ -8,7 +8,7 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.bends import fit_in_bends
 from bstm_daemon.analysis.quality.channels import HALF, Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -54,20 +54,22 @@ def _active(channels: Channels) -> Mask:
     return active
 
 
-def compare_accelerations(channels: Channels, notes: Notes) -> None:
+def compare_accelerations(channels: Checks) -> None:
     """Compare both accelerometers with the speeds and report the faults."""
     if channels.alive([LONGITUDINAL]):
         if channels.on_stand:
-            notes.skip(f"{LONGITUDINAL}: the car stood, wheels show nothing")
+            channels.skip(
+                f"{LONGITUDINAL}: the car stood, wheels show nothing"
+            )
         elif channels.speed_roles:
-            _longitudinal(channels, notes)
+            _longitudinal(channels)
         else:
-            notes.skip(f"{LONGITUDINAL}: no speed to compare it with")
+            channels.skip(f"{LONGITUDINAL}: no speed to compare it with")
     if channels.alive(["acceleration_lateral"]):
-        _lateral(channels, notes)
+        _lateral(channels)
 
 
-def _longitudinal(channels: Channels, notes: Notes) -> None:
+def _longitudinal(channels: Checks) -> None:
     rate, accel_measured = channels.speed_rate(), channels.acceleration()
     active = _active(channels)
     fit = fit_acceleration(channels)
@@ -87,23 +89,23 @@ def _longitudinal(channels: Channels, notes: Notes) -> None:
     ):
         pair = unit_ratio("speed", 1.0 / fit.scale, _SPEED_UNIT)
     if fit is not None and pair is not None:
-        _blame_speeds(channels, notes, pair, 1.0 / fit.scale)
+        _blame_speeds(channels, pair, 1.0 / fit.scale)
         naming = Naming((("unit", "the speeds are in the wrong unit"),))
     else:
-        write_faults(notes, LONGITUDINAL, naming, "dv/dt of the speed")
+        write_faults(channels, LONGITUDINAL, naming, "dv/dt of the speed")
         if naming.agrees is False:
             channels.dead.add(LONGITUDINAL)
-    notes.compare(
+    channels.compare(
         "accelerometer against dv/dt",
         ("dv/dt", LONGITUDINAL),
-        (channels.time_s, rate, accel_measured),
+        (rate, accel_measured),
         (naming.verdict, naming.agrees, fit),
         "m/s2",
     )
     if naming.agrees is None:
-        notes.skip(f"{LONGITUDINAL}: {naming.why_not_judged}")
+        channels.skip(f"{LONGITUDINAL}: {naming.why_not_judged}")
     if naming.agrees is not False:
-        _drift(channels, notes, agrees=naming.agrees)
+        _drift(channels, agrees=naming.agrees)
     if pair is not None:
         channels.dead.update(channels.speed_roles)
         channels.set_speed(())
@@ -116,10 +118,10 @@ def _only(naming: Naming) -> tuple[str, int]:
 
 
 def _blame_speeds(
-    channels: Channels, notes: Notes, pair: tuple[str, str], ratio: float
+    channels: Checks, pair: tuple[str, str], ratio: float
 ) -> None:
     """Name all speeds: no accelerometer is wrong by a unit of speed."""
-    notes.fault(
+    channels.fault(
         "unit",
         channels.speed_roles,
         f"wrong unit: all speeds read {ratio:.3g} times what the "
@@ -127,7 +129,7 @@ def _blame_speeds(
     )
 
 
-def _drift(channels: Channels, notes: Notes, *, agrees: bool | None) -> None:
+def _drift(channels: Checks, *, agrees: bool | None) -> None:
     """Compare speed with the accelerometer integrated over windows."""
     accel_measured = channels.value(LONGITUDINAL)
     speed = channels.speed
@@ -156,20 +158,19 @@ def _drift(channels: Channels, notes: Notes, *, agrees: bool | None) -> None:
         f"drifts {drift:+.2f} m/s a second: bias, or a grade of "
         f"{100 * drift / GRAVITY_MS2:+.1f} %"
     )
-    notes.compare(
+    channels.compare(
         f"accelerometer integrated over {_DRIFT_WINDOW_S:g} s, less its "
         "drift, against speed",
         ("speed", f"integrated {LONGITUDINAL}"),
-        (channels.time_s, speed, integrated),
+        (speed, integrated),
         (verdict, agrees, fit_channels(speed, integrated, 1.0)),
         "km/h",
-        unit_si=1 / 3.6,
     )
 
 
-def _lateral(channels: Channels, notes: Notes) -> None:
+def _lateral(channels: Checks) -> None:
     if not channels.alive(["yaw_rate"]) or not channels.speed_roles:
-        notes.skip("acceleration_lateral: no yaw rate to compare it with")
+        channels.skip("acceleration_lateral: no yaw rate to compare it with")
         return
     yaw = channels.value("yaw_rate")
     centripetal = yaw * channels.speed
@@ -186,13 +187,15 @@ def _lateral(channels: Channels, notes: Notes) -> None:
     tolerance = Tolerance(1.5, limits.ACCELERATION_OFFSET_MS2, unit=0.3)
     naming = name_faults(channels, role, fit, tolerance, why)
     for fault, text in naming.faults:
-        notes.fault(fault, role, f"{text}, against v x yaw rate", wrong=False)
+        channels.fault(
+            fault, role, f"{text}, against v x yaw rate", wrong=False
+        )
     if naming.agrees is None:
-        notes.skip(f"{role} against yaw rate: {why}")
-    notes.compare(
+        channels.skip(f"{role} against yaw rate: {why}")
+    channels.compare(
         "lateral accelerometer against v x yaw rate",
         ("v x yaw rate", role),
-        (channels.time_s, centripetal, channels.value(role)),
+        (centripetal, channels.value(role)),
         (naming.verdict, naming.agrees, fit),
         "m/s2",
     )

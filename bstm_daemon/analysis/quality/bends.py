@@ -5,9 +5,8 @@ from typing import Final
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
-from bstm_daemon.analysis.quality.channels import Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.statistics.series import Column, running_mean
 
 _AXLES: Final = (
@@ -54,7 +53,7 @@ def follows_bends(fit: Fit | None) -> bool:
     return fit is not None and abs(fit.correlation) >= limits.SIDE_CORRELATION
 
 
-def compare_sides(channels: Channels, notes: Notes) -> None:
+def compare_sides(channels: Checks) -> None:
     """Compare the wheels' differences with the yaw rate.
 
     Yaw rate is positive to the left, so right minus left is yaw rate times
@@ -69,7 +68,7 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     if not pairs:
         return
     if not channels.alive(["yaw_rate"]):
-        notes.skip(
+        channels.skip(
             "left and right wheels: no yaw rate, swapping is not detected"
         )
         return
@@ -77,7 +76,7 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
     turning = np.abs(yaw) > limits.YAW_SPREAD_RAD_S
     turning &= channels.speed > limits.BEND_MS
     if np.count_nonzero(turning) * limits.GRID_S < limits.ENOUGH_S:
-        notes.skip(
+        channels.skip(
             "left and right wheels: hardly a bend in this log, swapping is "
             "not detected"
         )
@@ -102,26 +101,26 @@ def compare_sides(channels: Channels, notes: Notes) -> None:
                 f"agrees, track {fit.scale:.2f} m" if agrees else "swapped"
             )
         else:
-            notes.skip(f"left and right {name} wheels: {verdict[12:]}")
-        notes.compare(
+            channels.skip(f"left and right {name} wheels: {verdict[12:]}")
+        channels.compare(
             f"{name} wheels, right minus left, against yaw rate",
             ("yaw rate", f"{right} - {left}"),
-            (channels.time_s, yaw, difference),
+            (yaw, difference),
             (verdict, agrees, fit),
             "rad/s, m/s",
         )
-    _name_swapped(notes, signs)
+    _name_swapped(channels, signs)
 
 
 def _name_swapped(
-    notes: Notes, signs: dict[str, tuple[float, tuple[str, str]]]
+    channels: Checks, signs: dict[str, tuple[float, tuple[str, str]]]
 ) -> None:
     turned = {name for name, (scale, _) in signs.items() if scale < 0.0}
     if not turned:
         return
     if len(turned) == len(signs):
         wheels = tuple(w for _, pair in signs.values() for w in pair)
-        notes.fault(
+        channels.fault(
             "swapped",
             ("yaw_rate", *wheels),
             "left and right wheels swapped, or the yaw rate is positive "
@@ -131,7 +130,7 @@ def _name_swapped(
         )
         return
     for name in sorted(turned):
-        notes.fault(
+        channels.fault(
             "swapped",
             signs[name][1],
             f"left and right {name} wheels are swapped: the inner one "
@@ -139,7 +138,7 @@ def _name_swapped(
         )
 
 
-def compare_axles(channels: Channels, notes: Notes) -> None:
+def compare_axles(channels: Checks) -> None:
     """Compare front with rear wheels in tight bends.
 
     The front axle runs on the larger circle, ``v_f^2 = v_r^2 + (yaw L)^2``
@@ -150,7 +149,7 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
         return
     subject = "front and rear wheels"
     if not channels.alive(["yaw_rate"]):
-        notes.skip(f"{subject}: no yaw rate, swapping is not detected")
+        channels.skip(f"{subject}: no yaw rate, swapping is not detected")
         return
     fl, fr, rl, rr = (channels.value(wheel) for wheel in wheels)
     front, rear = 0.5 * (fl + fr), 0.5 * (rl + rr)
@@ -159,7 +158,7 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
     known = np.isfinite(excess) & np.isfinite(yaw) & (rear > limits.MOVING_MS)
     tight = known & (np.abs(yaw) > limits.TIGHT_YAW_RAD_S)
     if np.count_nonzero(tight) * limits.GRID_S < limits.ENOUGH_S:
-        notes.skip(
+        channels.skip(
             f"{subject}: no tight bend in this log, swapping is not detected"
         )
         return
@@ -171,11 +170,11 @@ def compare_axles(channels: Channels, notes: Notes) -> None:
     same = float(np.mean(np.sign(turned) == np.sign(wheelbase2)))
     clear = same >= limits.SAME_SIGN and 1.0 < abs(wheelbase2) < 36.0
     if not clear:
-        notes.skip(
+        channels.skip(
             f"{subject}: no difference in bends, swapping is not detected"
         )
     elif wheelbase2 < 0.0:
-        notes.fault(
+        channels.fault(
             "swapped",
             tuple(wheels),
             "front and rear wheels are swapped: the rear ones run on "

@@ -12,7 +12,7 @@ from bstm_daemon.analysis.quality.channels import (
     window_mean,
 )
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Fault, Notes
+from bstm_daemon.analysis.quality.finding import Checks, Fault
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -27,9 +27,7 @@ from bstm_daemon.model.heat.feed_forward import PressureTorque
 _REAR: Final = ("secondary_pressure", "wheel_pressure_rl", "wheel_pressure_rr")
 
 
-def compare_pressures(
-    channels: Channels, notes: Notes, motion_says: dict[str, bool]
-) -> None:
+def compare_pressures(channels: Checks, motion_says: dict[str, bool]) -> None:
     """Compare every pressure, name the wrong ones and leave them out.
 
     *motion_says* is, for each pressure, whether the car's braking fits it,
@@ -38,7 +36,7 @@ def compare_pressures(
     roles = channels.alive(PRESSURES)
     if len(roles) < 2:
         if roles:
-            notes.skip(f"{roles[0]}: the only pressure, see deceleration")
+            channels.skip(f"{roles[0]}: the only pressure, see deceleration")
         return
     names: dict[tuple[str, str], tuple[Naming, Fit | None]] = {}
 
@@ -50,22 +48,22 @@ def compare_pressures(
     groups = components(roles, lambda a, b: naming(a, b).agrees)
     for other in roles[1:]:
         found = naming(roles[0], other)
-        notes.compare(
+        channels.compare(
             f"{other} against {roles[0]}",
             (roles[0], other),
-            (channels.time_s, channels.value(roles[0]), channels.value(other)),
+            (channels.value(roles[0]), channels.value(other)),
             (found.verdict, found.agrees, names[roles[0], other][1]),
             "bar",
-            unit_si=1e5,
         )
         if found.agrees is None:
-            notes.skip(f"{other} against {roles[0]}: {found.why_not_judged}")
-    _attribute(channels, notes, groups, naming, motion_says)
+            channels.skip(
+                f"{other} against {roles[0]}: {found.why_not_judged}"
+            )
+    _attribute(channels, groups, naming, motion_says)
 
 
 def _attribute(
-    channels: Channels,
-    notes: Notes,
+    channels: Checks,
     groups: list[tuple[str, ...]],
     naming: Callable[[str, str], Naming],
     motion_says: dict[str, bool],
@@ -79,15 +77,15 @@ def _attribute(
                 continue
             believed = _believed(first, group, motion_says)
             if believed is first:
-                write_faults(notes, role, judged[0], first[0])
+                write_faults(channels, role, judged[0], first[0])
                 channels.dead.add(role)
             elif believed is group:
                 for other in first:
                     turned = naming(role, other)
-                    write_faults(notes, other, turned, role)
+                    write_faults(channels, other, turned, role)
                     channels.dead.add(other)
             else:
-                notes.fault(
+                channels.fault(
                     "ambiguous",
                     (first[0], role),
                     f"{first[0]} and {role} disagree "
@@ -103,7 +101,7 @@ def _attribute(
             if fault == "lag" and text.endswith("late")
         ]
         if late:
-            notes.fault("lag", role, f"{late[0][1]}", wrong=False)
+            channels.fault("lag", role, f"{late[0][1]}", wrong=False)
 
 
 def _believed(
@@ -168,7 +166,7 @@ def released_reading(
     return rest, above_pa
 
 
-def check_resting(channels: Channels, notes: Notes) -> None:
+def check_resting(channels: Checks) -> None:
     """Name pressures that are negative, or not zero with no braking."""
     for role in channels.alive(PRESSURES):
         value = channels.value(role)
@@ -177,17 +175,16 @@ def check_resting(channels: Channels, notes: Notes) -> None:
             continue
         low, high = value.min(), value.max()
         if low < -limits.PRESSURE_SPAN_PA and high < -0.5 * low:
-            notes.fault(
+            channels.rule_out(
                 "sign",
                 role,
                 f"wrong sign: falls to {low / 1e5:.0f} bar, a brake pressure "
                 "is not negative",
             )
-            channels.dead.add(role)
-    _resting(channels, notes)
+    _resting(channels)
 
 
-def _resting(channels: Channels, notes: Notes) -> None:
+def _resting(channels: Checks) -> None:
     """Name what a pressure reads while the car gains speed."""
     if not channels.speed_roles or channels.on_stand:
         return
@@ -202,7 +199,7 @@ def _resting(channels: Channels, notes: Notes) -> None:
         low, middle = np.percentile(resting, (10, 50))
         if abs(middle) > limit and abs(low) > limit:
             unit, factor = channels.unit(role)
-            notes.fault(
+            channels.fault(
                 "offset",
                 role,
                 f"offset {middle / factor:+.3g} {unit}: read while the car "
@@ -216,7 +213,7 @@ _SWITCH_S: Final = 1.0
 _FITS: Final = 0.8
 
 
-def compare_braking(channels: Channels, notes: Notes) -> dict[str, bool]:
+def compare_braking(channels: Checks) -> dict[str, bool]:
     """Compare each pressure with deceleration and Feed-Back brake force.
 
     Returns, for the pressures where it could be judged, whether the car's
@@ -226,7 +223,7 @@ def compare_braking(channels: Channels, notes: Notes) -> dict[str, bool]:
     if not roles:
         return {}
     if channels.on_stand or not channels.speed_roles:
-        notes.skip("pressures against deceleration: no motion of the car")
+        channels.skip("pressures against deceleration: no motion of the car")
         return {}
     says: dict[str, bool] = {}
     for role in roles:
@@ -234,21 +231,19 @@ def compare_braking(channels: Channels, notes: Notes) -> dict[str, bool]:
         pressed &= channels.speed > limits.MOVING_MS
         braked_s = np.count_nonzero(pressed) * limits.GRID_S
         if braked_s < limits.ENOUGH_S:
-            notes.skip(
+            channels.skip(
                 f"{role} against deceleration: {braked_s:.1f} s of braking "
                 "while moving in this log"
             )
             continue
-        _deceleration(channels, notes, role, pressed)
-        fits = _force(channels, notes, role, pressed)
+        _deceleration(channels, role, pressed)
+        fits = _force(channels, role, pressed)
         if fits is not None:
             says[role] = fits
     return says
 
 
-def _deceleration(
-    channels: Channels, notes: Notes, role: str, pressed: Mask
-) -> None:
+def _deceleration(channels: Checks, role: str, pressed: Mask) -> None:
     pressure = window_mean(channels.value(role))
     slowing = -channels.speed_rate()
     fit = fit_channels(pressure, slowing, 3 * limits.PRESSURE_SPAN_PA, pressed)
@@ -267,17 +262,16 @@ def _deceleration(
         verdict = f"agrees, {fit.scale * 1e5:.3f} m/s2 a bar"
         if not agrees:
             verdict = "wrong sign: harder pressing, less deceleration"
-            notes.fault("sign", role, f"{verdict}, against dv/dt")
+            channels.fault("sign", role, f"{verdict}, against dv/dt")
     if agrees is None:
-        notes.skip(f"{role} against deceleration: {verdict[12:]}")
-    notes.compare(
+        channels.skip(f"{role} against deceleration: {verdict[12:]}")
+    channels.compare(
         f"deceleration against {role}",
         (role, "deceleration"),
-        (channels.time_s, pressure, slowing),
+        (pressure, slowing),
         (verdict, agrees, fit),
         "m/s2",
         reference_unit="bar",
-        reference_si=1e5,
     )
 
 
@@ -356,9 +350,7 @@ def _has_slope(channels: Channels) -> bool:
     )
 
 
-def _force(
-    channels: Channels, notes: Notes, role: str, pressed: Mask
-) -> bool | None:
+def _force(channels: Checks, role: str, pressed: Mask) -> bool | None:
     """Compare the energies of Feed-Forward and Feed-Back; None: not known."""
     forward, back = feed_forward_n(channels, role), feed_back_n(channels)
     here = pressed & np.isfinite(forward) & np.isfinite(back)
@@ -371,20 +363,18 @@ def _force(
     )
     subject = f"Feed-Forward by {role} against Feed-Back"
     if agrees is None:
-        notes.skip(f"{subject}: {verdict.removeprefix('not judged: ')}")
+        channels.skip(f"{subject}: {verdict.removeprefix('not judged: ')}")
     if fault is not None:
-        notes.fault(fault, role, f"{verdict}, against Feed-Back")
-    notes.compare(
+        channels.fault(fault, role, f"{verdict}, against Feed-Back")
+    channels.compare(
         subject,
         ("Feed-Back", f"Feed-Forward by {role}"),
         (
-            channels.time_s,
             np.where(channels.speed > limits.MOVING_MS, back, np.nan),
             np.where(channels.speed > limits.MOVING_MS, forward, np.nan),
         ),
         (verdict, agrees, fit),
         "kN",
-        unit_si=1e3,
     )
     return agrees
 
@@ -424,13 +414,13 @@ def _judge_force(
     return f"wrong scale, of pressure or brake data: {text}", False, "scale"
 
 
-def compare_switch(channels: Channels, notes: Notes) -> None:
+def compare_switch(channels: Checks) -> None:
     """Compare the brake switch with the pressure or a substitute for it."""
     if not channels.alive([_SWITCH]):
         return
     roles = channels.alive(PRESSURES)
     if not roles:
-        notes.skip(f"{_SWITCH}: no pressure to compare it with")
+        channels.skip(f"{_SWITCH}: no pressure to compare it with")
         return
     pressure, switch = channels.value(roles[0]), channels.value(_SWITCH)
     known = np.isfinite(switch)
@@ -443,7 +433,7 @@ def compare_switch(channels: Channels, notes: Notes) -> None:
         np.count_nonzero(mask) * limits.GRID_S for mask in (pressed, released)
     ]
     if min(counts) < _SWITCH_S:
-        notes.skip(f"{_SWITCH}: the pedal is not both pressed and released")
+        channels.skip(f"{_SWITCH}: the pedal is not both pressed and released")
         return
     on_pressed = float(np.mean(switch[pressed] > 0.5))
     on_released = float(np.mean(switch[released] > 0.5))
@@ -461,13 +451,12 @@ def compare_switch(channels: Channels, notes: Notes) -> None:
             f"pressed, {100 * on_released:.0f} % released"
         )
     if fault is not None:
-        notes.fault(fault, _SWITCH, f"{verdict} ({roles[0]})", wrong=False)
-    notes.compare(
+        channels.fault(fault, _SWITCH, f"{verdict} ({roles[0]})", wrong=False)
+    channels.compare(
         f"{_SWITCH} against {roles[0]}",
         (roles[0], _SWITCH),
-        (channels.time_s, pressure, switch),
+        (pressure, switch),
         (verdict, fault is None, None),
         "on",
         reference_unit="bar",
-        reference_si=1e5,
     )

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.recording import Recording
 from bstm_daemon.bus.opening import id_text, open_log, resolve_interfaces
 from bstm_daemon.bus.output.e2e import profile2_crc
@@ -57,18 +57,14 @@ def count_own_frames(
     return dict(found)
 
 
-def note_collisions(
-    recording: Recording,
-    config: Config,
-    own_frames: Mapping[int, int],
-    notes: Notes,
-) -> None:
+def note_collisions(channels: Checks, own_frames: Mapping[int, int]) -> None:
     """Name the frames with an id that ``[publish] id_base`` would send.
 
     Where all frames of an id are among *own_frames*, by id, they are the
     daemon's own.
     """
-    frames = _taken(recording, config)
+    config = channels.config
+    frames = _taken(channels.recording, config)
     if not frames:
         return
     own = {
@@ -82,7 +78,7 @@ def note_collisions(
     bus = config.bus[config.publishing_bus].name
     block = f"[publish] id_base = 0x{config.publish.id_base:X}"
     if foreign:
-        notes.fault(
+        channels.fault(
             "id-collision",
             (),
             f"the log holds {_listed(foreign)} on {bus}, which {block} "
@@ -90,7 +86,7 @@ def note_collisions(
             wrong=False,
         )
     if own:
-        notes.fault(
+        channels.fault(
             "own-frames",
             (),
             f"the log holds {_listed(own)} on {bus}, of the block of "

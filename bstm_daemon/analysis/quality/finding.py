@@ -1,12 +1,15 @@
 """Findings of the checks of a log, as data."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
 
+from bstm_daemon.analysis.quality.channels import Channels
 from bstm_daemon.analysis.quality.comparison import Fit
-from bstm_daemon.analysis.quality.recording import ChannelStatistics
+from bstm_daemon.analysis.quality.recording import ChannelStatistics, Recording
 from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.config.sections import Config
+from bstm_daemon.units import UNITS
 
 Fault = Literal[
     "missing",
@@ -54,8 +57,8 @@ class Comparison:
 
     ``agrees`` is None where the log does not allow a verdict; ``verdict``
     has the words. ``time_s``, ``reference`` and ``channel``, (n,), are
-    what was compared, in SI; for people both are divided by ``unit_si`` to
-    ``unit``, a reference of another quantity by ``reference_si``.
+    what was compared, in SI; people read ``unit``, and of a reference of
+    another quantity ``reference_unit``.
     """
 
     title: str
@@ -68,16 +71,23 @@ class Comparison:
     reference: Column
     channel: Column
     unit: str
-    unit_si: float = 1.0
-    reference_unit: str | None = None
-    reference_si: float = 1.0
+    reference_unit: str = ""
+
+    @property
+    def unit_si(self) -> float:
+        """Factor of the unit to SI."""
+        return _factor(self.unit)
 
     @property
     def reference_scale(self) -> tuple[str, float]:
         """Unit of the reference for people, and its factor to SI."""
-        if self.reference_unit is None:
-            return self.unit, self.unit_si
-        return self.reference_unit, self.reference_si
+        unit = self.reference_unit or self.unit
+        return unit, _factor(unit)
+
+
+def _factor(unit: str) -> float:
+    # what is a flag, or of two quantities, is shown as it is
+    return UNITS[unit].factor if unit in UNITS else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +117,17 @@ class ModeVerdict:
     remarks: tuple[str, ...] = ()
 
 
-@dataclass
-class Notes:
-    """Where the checks write what they find."""
+class Checks(Channels):
+    """The channels of a recording, and what the checks find of them."""
 
-    findings: list[Finding] = field(default_factory=list)
-    comparisons: list[Comparison] = field(default_factory=list)
-    not_judged: list[str] = field(default_factory=list)
+    def __init__(
+        self, recording: Recording, config: Config, timeouts_us: Iterable[int]
+    ) -> None:
+        """Put every role of *recording* on one grid; nothing is found yet."""
+        super().__init__(recording, config, timeouts_us)
+        self.findings: list[Finding] = []
+        self.comparisons: list[Comparison] = []
+        self.not_judged: list[str] = []
 
     def fault(
         self,
@@ -134,28 +148,28 @@ class Notes:
             return
         self.findings.append(Finding(fault, roles, text, wrong))
 
+    def rule_out(self, fault: Fault, role: str, text: str) -> None:
+        """Name *fault* of the channel *role* and leave it out from here on."""
+        self.fault(fault, role, text)
+        self.dead.add(role)
+
     def compare(
         self,
         title: str,
         pair: tuple[str, str],
-        columns: tuple[Column, Column, Column],
+        columns: tuple[Column, Column],
         named: Named,
         unit: str,
-        **units: Any,
+        reference_unit: str = "",
     ) -> None:
         """Keep a :class:`Comparison`.
 
-        *pair* names reference and channel, *columns* are time, reference and
-        channel, *named* is verdict, whether it agrees, and the fit.
+        *pair* names reference and channel, whose values are *columns*;
+        *named* is verdict, whether both agree, and the fit.
+        A reference of another quantity has a unit of its own.
         """
-        reference, channel = pair
-        verdict, agrees, fit = named
-        self.comparisons.append(
-            Comparison(
-                title, reference, channel, verdict, agrees, fit, *columns,
-                unit, **units,
-            )
-        )  # fmt: skip
+        values = title, *pair, *named, self.time_s, *columns, unit
+        self.comparisons.append(Comparison(*values, reference_unit))
 
     def skip(self, text: str) -> None:
         """Note a check that this log does not allow, and why."""

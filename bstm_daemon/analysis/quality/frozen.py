@@ -14,7 +14,7 @@ from bstm_daemon.analysis.quality.channels import (
     median_of,
 )
 from bstm_daemon.analysis.quality.comparison import spread
-from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.recording import Run, constant_runs
 from bstm_daemon.analysis.quality.speeds import SPEEDS
 from bstm_daemon.analysis.statistics.series import Column
@@ -24,15 +24,15 @@ _ACCELEROMETER: Final = "acceleration_longitudinal"
 _AXLES: Final = {"front": WHEELS[:2], "rear": WHEELS[2:]}
 
 
-def find_frozen_speeds(channels: Channels, notes: Notes) -> None:
+def find_frozen_speeds(channels: Checks) -> None:
     """Name speeds that are dead or hold a value, and leave them out."""
     roles = channels.alive(SPEEDS)
-    for role in _without_standing_axle(channels, notes, roles):
-        _name_runs(channels, notes, role, _SpeedContradiction(channels, role))
+    for role in _without_standing_axle(channels, roles):
+        _name_runs(channels, role, _SpeedContradiction(channels, role))
 
 
 def find_frozen(
-    channels: Channels, notes: Notes, roles: tuple[str, ...], reference: Column
+    channels: Checks, roles: tuple[str, ...], reference: Column
 ) -> None:
     """Name *roles* that hold a value while *reference* (n,) moves.
 
@@ -51,12 +51,10 @@ def find_frozen(
                 return "while its reference moves"
             return ""
 
-        _name_runs(channels, notes, role, moved)
+        _name_runs(channels, role, moved)
 
 
-def _without_standing_axle(
-    channels: Channels, notes: Notes, roles: list[str]
-) -> list[str]:
+def _without_standing_axle(channels: Checks, roles: list[str]) -> list[str]:
     """Leave out an axle at rest because the car is on a test stand."""
     for name, wheels in _AXLES.items():
         others = [role for role in roles if role not in wheels]
@@ -73,7 +71,7 @@ def _without_standing_axle(
             continue
         if _car_stood(channels, turning):
             listed = ", ".join(wheels)
-            notes.fault(
+            channels.fault(
                 "axles-disagree",
                 wheels,
                 f"axles disagree: stand or roller? The {name} wheels "
@@ -168,34 +166,30 @@ def _inside(channels: Channels, run: Run, value: Column) -> Column:
 
 
 def _name_runs(
-    channels: Channels,
-    notes: Notes,
-    role: str,
-    contradiction: Callable[[Run], str],
+    channels: Checks, role: str, contradiction: Callable[[Run], str]
 ) -> None:
     series = channels.series[role]
     unit, factor = channels.unit(role)
-    named = len(notes.findings)
+    named = len(channels.findings)
     for run in constant_runs(series, limits.FROZEN_S):
         why = contradiction(run)
         if not why:
             continue
         value = f"{run.value / factor:.6g} {unit}"
         if run.length_s >= series.time_s[-1] - series.time_s[0]:
-            channels.dead.add(role)
             text = f"dead: reads {value} throughout, {why}"
-            notes.fault("dead", role, text)
+            channels.rule_out("dead", role, text)
             continue
         channels.spans.setdefault(role, []).append((run.start_s, run.end_s))
         to_end = run.end_s >= series.time_s[-1]
         until = "to the end" if to_end else f"to {run.end_s:.1f} s"
         text = f"frozen at {value} from {run.start_s:.1f} s {until}, {why}"
-        notes.fault("frozen", role, text)
-    if len(notes.findings) > named:
-        _show(channels, notes, role, notes.findings[-1].text)
+        channels.fault("frozen", role, text)
+    if len(channels.findings) > named:
+        _show(channels, role, channels.findings[-1].text)
 
 
-def _show(channels: Channels, notes: Notes, role: str, verdict: str) -> None:
+def _show(channels: Checks, role: str, verdict: str) -> None:
     """Write a comparison with the first channel of its kind that moves."""
     kind = PRESSURES if role in PRESSURES else SPEEDS
     others = [other for other in channels.alive(kind) if other != role]
@@ -204,14 +198,13 @@ def _show(channels: Channels, notes: Notes, role: str, verdict: str) -> None:
     else:
         name = max(others, key=lambda other: spread(channels.raw(other)))
         reference = channels.raw(name)
-    unit, unit_si = ("bar", 1e5) if role in PRESSURES else ("km/h", 1 / 3.6)
+    unit = "bar" if role in PRESSURES else "km/h"
     if role == _ACCELEROMETER:
-        unit, unit_si = "m/s2", 1.0
-    notes.compare(
+        unit = "m/s2"
+    channels.compare(
         f"{role} against {name}",
         (name, role),
-        (channels.time_s, reference, channels.raw(role)),
+        (reference, channels.raw(role)),
         (verdict, False, None),
         unit,
-        unit_si=unit_si,
     )

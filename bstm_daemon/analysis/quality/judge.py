@@ -14,12 +14,12 @@ from bstm_daemon.analysis.quality.accelerations import (
     compare_accelerations,
 )
 from bstm_daemon.analysis.quality.bends import compare_axles, compare_sides
-from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS, Channels
+from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS
 from bstm_daemon.analysis.quality.collisions import note_collisions
 from bstm_daemon.analysis.quality.finding import (
+    Checks,
     Finding,
     ModeVerdict,
-    Notes,
     Quality,
     RoleQuality,
 )
@@ -183,50 +183,48 @@ def judge(
     A channel that is found wrong takes no part in the checks after it, so
     that one fault is named once.
     """
-    notes = Notes()
-    roles = _roles(recording, config, signal_map, notes)
-    channels = Channels(recording, config, signal_map.timeouts_us)
+    channels = Checks(recording, config, signal_map.timeouts_us)
+    roles = _roles(channels, signal_map)
     # absurd values overflow: the fits are then unusable
     with np.errstate(over="ignore", invalid="ignore"):
-        _compare(channels, notes)
-    note_collisions(recording, config, own_frames or {}, notes)
-    findings = tuple(dict.fromkeys(notes.findings))
+        _compare(channels)
+    note_collisions(channels, own_frames or {})
+    findings = tuple(dict.fromkeys(channels.findings))
     return Quality(
         recording.duration_s,
         roles,
-        tuple(notes.comparisons),
+        tuple(channels.comparisons),
         findings,
-        tuple(dict.fromkeys(notes.not_judged)),
+        tuple(dict.fromkeys(channels.not_judged)),
         mode_verdicts(config, roles, findings),
         config.heat.mode,
         recording.refused,
     )
 
 
-def _compare(channels: Channels, notes: Notes) -> None:
+def _compare(channels: Checks) -> None:
     """Run the checks; each leaves out what those before found wrong."""
-    find_frozen_speeds(channels, notes)
-    compare_speeds(channels, notes)
-    note_unjudged(channels, notes)
+    find_frozen_speeds(channels)
+    compare_speeds(channels)
+    note_unjudged(channels)
     if not channels.on_stand:
-        find_frozen(channels, notes, (LONGITUDINAL,), channels.speed_rate())
-    compare_accelerations(channels, notes)
-    compare_sides(channels, notes)
-    compare_axles(channels, notes)
+        find_frozen(channels, (LONGITUDINAL,), channels.speed_rate())
+    compare_accelerations(channels)
+    compare_sides(channels)
+    compare_axles(channels)
     for role in channels.alive(PRESSURES):
         others = [o for o in channels.alive(PRESSURES) if o != role]
         if others:
-            find_frozen(channels, notes, (role,), channels.value(others[0]))
-    braking.check_resting(channels, notes)
-    says = braking.compare_braking(channels, notes)
-    braking.compare_pressures(channels, notes, says)
-    braking.compare_switch(channels, notes)
-    check_temperatures(channels, notes)
+            find_frozen(channels, (role,), channels.value(others[0]))
+    braking.check_resting(channels)
+    says = braking.compare_braking(channels)
+    braking.compare_pressures(channels, says)
+    braking.compare_switch(channels)
+    check_temperatures(channels)
 
 
-def _roles(
-    recording: Recording, config: Config, signal_map: SignalMap, notes: Notes
-) -> tuple[RoleQuality, ...]:
+def _roles(channels: Checks, signal_map: SignalMap) -> tuple[RoleQuality, ...]:
+    recording, config = channels.recording, channels.config
     keys = {
         output.role: (key, plan)
         for key, plan in signal_map.messages.items()
@@ -251,7 +249,7 @@ def _roles(
                 series, recording.duration_s, timeout_s, pauses
             )
             if statistics.missing_share > MISSING_SHARE:
-                notes.fault(
+                channels.fault(
                     "dropouts",
                     role,
                     f"absent {100 * statistics.missing_share:.0f} % of the "
@@ -267,7 +265,7 @@ def _roles(
         why = "no row with a value"
         if number in keys:
             why = _why_missing(*keys[number], recording, signal_map)
-        notes.fault("missing", role, why, wrong=False)
+        channels.fault("missing", role, why, wrong=False)
         found.append(
             RoleQuality(role, source, signal.unit, timeout_s, None, why)
         )

@@ -7,7 +7,7 @@ from itertools import combinations
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit
-from bstm_daemon.analysis.quality.finding import Fault, Notes
+from bstm_daemon.analysis.quality.finding import Checks, Fault
 from bstm_daemon.units import UNITS
 
 
@@ -98,11 +98,11 @@ def _scale(
 
 
 def write_faults(
-    notes: Notes, role: str, naming: Naming, against: str
+    channels: Checks, role: str, naming: Naming, against: str
 ) -> None:
     """Write each fault of *naming* as one of *role*."""
     for fault, text in naming.faults:
-        notes.fault(
+        channels.fault(
             fault, role, f"{text}, against {against}", wrong=fault != "lag"
         )
 

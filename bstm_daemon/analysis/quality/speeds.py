@@ -8,7 +8,7 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.accelerations import fit_acceleration
 from bstm_daemon.analysis.quality.channels import WHEELS, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels, spread
-from bstm_daemon.analysis.quality.finding import Notes
+from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.naming import (
     Naming,
     Tolerance,
@@ -28,7 +28,7 @@ _PAIRS: Final = (
 )
 
 
-def compare_speeds(channels: Channels, notes: Notes) -> None:
+def compare_speeds(channels: Checks) -> None:
     """Compare every speed, report wrong ones, set the car's speed."""
     roles = channels.alive(SPEEDS)
     if not roles:
@@ -38,10 +38,10 @@ def compare_speeds(channels: Channels, notes: Notes) -> None:
         roles, lambda one, other: table.naming(one, other).agrees
     )
     trusted = _trusted(channels, table, groups)
-    _write_comparisons(channels, notes, table, roles)
+    _write_comparisons(channels, table, roles)
     if trusted is None:
         listed = " against ".join(", ".join(group) for group in groups)
-        notes.fault(
+        channels.fault(
             "ambiguous",
             tuple(role for group in groups for role in group),
             f"speeds disagree, {listed}: one side is wrong and this log does "
@@ -52,11 +52,11 @@ def compare_speeds(channels: Channels, notes: Notes) -> None:
     channels.set_speed(trusted)
     for role in roles:
         if role in trusted:
-            _late_only(notes, table, role, trusted)
+            _late_only(channels, table, role, trusted)
             continue
         naming = table.against(role, channels.speed)
         if naming.agrees is False:
-            write_faults(notes, role, naming, _named(trusted))
+            write_faults(channels, role, naming, _named(trusted))
             channels.dead.add(role)
 
 
@@ -161,7 +161,7 @@ def _accelerometer_follows(channels: Channels, group: tuple[str, ...]) -> bool:
 
 
 def _late_only(
-    notes: Notes, table: _Table, role: str, trusted: tuple[str, ...]
+    channels: Checks, table: _Table, role: str, trusted: tuple[str, ...]
 ) -> None:
     """Name *role* late where it is against most of the others."""
     others = [other for other in trusted if other != role]
@@ -175,13 +175,13 @@ def _late_only(
     if len(others) == 1:
         late = [text for text in late if text.endswith("late")]
     if len(late) * 2 > len(others):
-        notes.fault(
+        channels.fault(
             "lag", role, f"{late[0]}, against {_named(trusted)}", wrong=False
         )
 
 
 def _write_comparisons(
-    channels: Channels, notes: Notes, table: _Table, roles: list[str]
+    channels: Checks, table: _Table, roles: list[str]
 ) -> None:
     pairs = [
         ("vehicle_speed", wheel)
@@ -195,23 +195,24 @@ def _write_comparisons(
         if one not in roles or other not in roles or one == other:
             continue
         naming = table.naming(one, other)
-        notes.compare(
+        channels.compare(
             f"{other} against {one}",
             (one, other),
-            (channels.time_s, channels.value(one), channels.value(other)),
+            (channels.value(one), channels.value(other)),
             (naming.verdict, naming.agrees, table.fit(one, other)),
             "km/h",
-            unit_si=1 / 3.6,
         )
 
 
-def note_unjudged(channels: Channels, notes: Notes) -> None:
+def note_unjudged(channels: Checks) -> None:
     """Note the speeds without another one to compare with."""
     roles = channels.alive(SPEEDS)
     if len(roles) == 1:
-        notes.skip(f"{roles[0]}: the only speed, nothing to compare it with")
+        channels.skip(
+            f"{roles[0]}: the only speed, nothing to compare it with"
+        )
     elif roles and spread(channels.speed) < limits.SPEED_SPAN_MS:
-        notes.skip(
+        channels.skip(
             f"speeds: they vary by less than {limits.SPEED_SPAN_MS:g} m/s in "
             "this log"
         )

@@ -9,7 +9,7 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.braking import feed_forward_n
 from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Comparison, Notes
+from bstm_daemon.analysis.quality.finding import Checks, Comparison, Fault
 from bstm_daemon.analysis.quality.recording import constant_runs
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.units import KELVIN_OFFSET
@@ -19,24 +19,21 @@ _RATE_STEPS: Final = round(1.0 / limits.GRID_S)
 _PEAKS: Final = 0.999
 
 
-def check_temperatures(channels: Channels, notes: Notes) -> None:
+def check_temperatures(channels: Checks) -> None:
     """Check every measured temperature; wrong ones are left out."""
     roles = [role for role in channels.series if role.startswith("temp_")]
     ambient_k = _ambient_k(channels)
     for role in roles:
-        if _miswired(channels, notes, role):
-            channels.dead.add(role)
-            continue
-        if _shifted(channels, notes, role, ambient_k[0]):
+        if _miswired(channels, role) or _shifted(channels, role, ambient_k[0]):
             continue
         node = role.split("_", 2)[2]
-        _range(channels, notes, role, limits.TEMPERATURE_RANGE_K[node])
-        _rate(channels, notes, role, limits.TEMPERATURE_RATE_K_S[node])
+        _range(channels, role, limits.TEMPERATURE_RANGE_K[node])
+        _rate(channels, role, limits.TEMPERATURE_RATE_K_S[node])
         if role not in channels.dead:
-            _start(channels, notes, role, ambient_k)
+            _start(channels, role, ambient_k)
         if node == "disc" and role not in channels.dead:
-            _work(channels, notes, role)
-    _left_right(channels, notes, roles)
+            _work(channels, role)
+    _left_right(channels, roles)
 
 
 def _ambient_k(channels: Channels) -> tuple[float, str]:
@@ -46,7 +43,7 @@ def _ambient_k(channels: Channels) -> tuple[float, str]:
     return float(np.median(series.value)), "the ambient temperature"
 
 
-def _miswired(channels: Channels, notes: Notes, role: str) -> bool:
+def _miswired(channels: Checks, role: str) -> bool:
     """Whether *role* is the line of a pressure."""
     temperature = channels.value(role)
     known = np.isfinite(temperature)
@@ -71,8 +68,8 @@ def _miswired(channels: Channels, notes: Notes, role: str) -> bool:
         f"{1e5 * fit.scale:.3g} K a bar), a brake part neither heats nor "
         "cools with the pedal"
     )
-    notes.fault("mis-wired", role, verdict)
-    notes.comparisons.append(
+    channels.rule_out("mis-wired", role, verdict)
+    channels.comparisons.append(
         _comparison(channels, other, role, verdict, agrees=False, fit=fit)
     )
     return True
@@ -85,9 +82,7 @@ def _presses(pressure: Column) -> int:
     return int(np.count_nonzero(np.diff((pressure > level).astype(int)) > 0))
 
 
-def _shifted(
-    channels: Channels, notes: Notes, role: str, ambient_k: float
-) -> bool:
+def _shifted(channels: Checks, role: str, ambient_k: float) -> bool:
     """Whether *role* is off by the 273 K between kelvin and degC."""
     start_k = float(np.median(channels.series[role].value[:10]))
     for shift_k, words in (
@@ -95,59 +90,50 @@ def _shifted(
         (-KELVIN_OFFSET, "K read as degC"),
     ):
         if abs(start_k + shift_k - ambient_k) < limits.COLDER_K:
-            notes.fault(
+            channels.rule_out(
                 "unit",
                 role,
                 f"wrong unit: starts at {start_k - KELVIN_OFFSET:.0f} degC, "
                 f"it is {words}",
             )
-            channels.dead.add(role)
             return True
     return False
 
 
-def _range(
-    channels: Channels, notes: Notes, role: str, bounds: tuple[float, float]
-) -> None:
+def _range(channels: Checks, role: str, bounds: tuple[float, float]) -> None:
     value = channels.series[role].value
     outside = (value < bounds[0]) | (value > bounds[1])
     if outside.any():
         low_c, high_c = (limit - KELVIN_OFFSET for limit in bounds)
-        notes.fault(
+        channels.rule_out(
             "implausible",
             role,
             f"implausible: {value.min() - KELVIN_OFFSET:.0f} to "
             f"{value.max() - KELVIN_OFFSET:.0f} degC, possible are "
             f"{low_c:.0f} to {high_c:.0f}",
         )
-        channels.dead.add(role)
 
 
-def _rate(
-    channels: Channels, notes: Notes, role: str, limit_k_s: float
-) -> None:
+def _rate(channels: Checks, role: str, limit_k_s: float) -> None:
     value = channels.value(role)
     rate = np.abs(value[_RATE_STEPS:] - value[:-_RATE_STEPS])
     known = rate[np.isfinite(rate)]
     if len(known) and np.quantile(known, _PEAKS) > limit_k_s:
-        notes.fault(
+        channels.rule_out(
             "implausible",
             role,
             f"implausible: changes by {np.quantile(known, _PEAKS):.0f} K in "
             f"a second, possible are {limit_k_s:.0f}",
         )
-        channels.dead.add(role)
 
 
-def _start(
-    channels: Channels, notes: Notes, role: str, ambient: tuple[float, str]
-) -> None:
+def _start(channels: Checks, role: str, ambient: tuple[float, str]) -> None:
     series = channels.series[role]
     first = series.value[series.time_s <= series.time_s[0] + _START_S]
     ambient_k, name = ambient
     start_k = float(np.median(first))
     if start_k < ambient_k - limits.COLDER_K:
-        notes.fault(
+        channels.fault(
             "implausible",
             role,
             f"implausible: starts at {start_k - KELVIN_OFFSET:.0f} degC, "
@@ -156,14 +142,14 @@ def _start(
         )
 
 
-def _work(channels: Channels, notes: Notes, role: str) -> None:
+def _work(channels: Checks, role: str) -> None:
     """Name a disc temperature that stands still while the brakes work."""
     corner = role.split("_")[1]
     near = [f"wheel_pressure_{corner}", *PRESSURES[:2]]
     pressures = channels.alive(near)
     series = channels.series[role]
     if not pressures or not channels.speed_roles or channels.on_stand:
-        notes.skip(f"{role}: no pressure and speed to compare it with")
+        channels.skip(f"{role}: no pressure and speed to compare it with")
         return
     braking = channels.value(pressures[0]) > limits.PRESSED_PA
     braking &= channels.speed > limits.MOVING_MS
@@ -171,7 +157,7 @@ def _work(channels: Channels, notes: Notes, role: str) -> None:
     work = np.where(braking, power, 0.0) / channels.config.vehicle.mass_kg
     work = np.nan_to_num(work) * limits.GRID_S
     if work.sum() < limits.DISC_WORK_MS2S:
-        notes.skip(f"{role}: hardly any braking, heating is not seen")
+        channels.skip(f"{role}: hardly any braking, heating is not seen")
         return
     for run in constant_runs(series, 5.0):
         here = (channels.time_s > run.start_s) & (channels.time_s < run.end_s)
@@ -187,16 +173,12 @@ def _work(channels: Channels, notes: Notes, role: str) -> None:
                 f"{run.end_s:.1f} s"
             )
         )
-        word = "dead" if whole else "frozen"
-        notes.fault(
-            "dead" if whole else "frozen",
-            role,
-            f"{word}: {text}, while the brakes work",
-        )
-        channels.dead.add(role)
+        fault: Fault = "dead" if whole else "frozen"
+        text = f"{fault}: {text}, while the brakes work"
+        channels.rule_out(fault, role, text)
 
 
-def _left_right(channels: Channels, notes: Notes, roles: list[str]) -> None:
+def _left_right(channels: Checks, roles: list[str]) -> None:
     """Show left beside right, without a verdict, as brakes differ."""
     for left in roles:
         right = left.replace("l_", "r_", 1)
@@ -207,7 +189,7 @@ def _left_right(channels: Channels, notes: Notes, roles: list[str]) -> None:
         )
         if fit is None:
             continue
-        notes.comparisons.append(
+        channels.comparisons.append(
             _comparison(
                 channels,
                 left,
@@ -244,6 +226,5 @@ def _comparison(
         channels.value(reference) - offset,
         channels.value(role) - KELVIN_OFFSET,
         "degC",
-        reference_unit="bar" if is_pressure else None,
-        reference_si=1e5,
+        reference_unit="bar" if is_pressure else "",
     )
