@@ -187,11 +187,7 @@ class FluidConfig(Section):
 
 
 class ForecastConfig(Section):
-    """``[forecast]``: the ensemble, and the limits of disc and pads.
-
-    ``uncertainty`` scales the model uncertainty of the ensemble; the limits
-    are where elevated, high and critical begin.
-    """
+    """``[forecast]``: the ensemble, and the limits of disc and pads."""
 
     members: Annotated[int, Field(ge=8, le=256)] = 64
     """members of the ensemble; 8 without the compiled kernel"""

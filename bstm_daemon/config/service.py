@@ -67,14 +67,7 @@ class E2eConfig(Section):
 
 
 class StateConfig(Section):
-    """``[state]``: the file that carries the brakes over a restart.
-
-    ``file`` default: ``<vehicle id>.state`` in ``$STATE_DIRECTORY``, else in
-    ``$XDG_STATE_HOME/bstm``. Saved every ``interval_s`` while a node moves
-    by more than 1 K/min, else every ``idle_interval_s``. Over a power cut
-    the brakes cool by the wall clock where it is synchronised, or where
-    ``trust_wall_clock`` says that it is always right.
-    """
+    """``[state]``: the file that carries the brakes over a restart."""
 
     file: Text | None = None
     """path; without it `<vehicle id>.state` in `$STATE_DIRECTORY`, else in
@@ -89,11 +82,7 @@ class StateConfig(Section):
 
 
 class DaemonConfig(Section):
-    """``[daemon]``: the loop of the live service.
-
-    The buses are drained every ``drain_s``; a missing interface is looked
-    for every ``reopen_s``; the kernel is asked for ``receive_buffer_bytes``.
-    """
+    """``[daemon]``: the loop of the live service."""
 
     drain_s: Annotated[float, Field(ge=0.001, le=0.1)] = 0.1
     """the buses are read so often"""
@@ -107,10 +96,7 @@ class DaemonConfig(Section):
 class RecordConfig(Section):
     """``[record]``: a ring of the wanted frames, candump ``.log.gz``.
 
-    The last ``ring_bytes`` of segments of ``segment_s`` stay in ``folder``;
-    what is kept aside (risk, disagreement, model or on request) reaches
-    back ``before_s`` and on for ``after_s`` and takes at most ``kept_bytes``.
-    ``folder`` default: ``record`` beside the state file.
+    Kept aside is what lies around a risk, a disagreement or a request.
     """
 
     enabled: bool = False
@@ -130,21 +116,14 @@ class RecordConfig(Section):
 
 
 class FeedConfig(Section):
-    """``[feed]``: publications as JSON lines on a local Unix socket.
-
-    Without ``socket`` there is none. User and group of the service read it.
-    """
+    """``[feed]``: publications as JSON lines, for the service's group."""
 
     socket: Text | None = None
     """path of the socket, such as `/run/bstm/feed.sock`; without it no feed"""
 
 
 class MetricsConfig(Section):
-    """``[metrics]``: a text file for node_exporter's textfile collector.
-
-    ``file`` default: ``bstm.prom`` in ``$RUNTIME_DIRECTORY``; without that
-    variable and without the key there is no file.
-    """
+    """``[metrics]``: a text file for node_exporter's textfile collector."""
 
     enabled: bool = False
     """write it"""
