@@ -42,7 +42,7 @@ class Reason(IntFlag):
     HEAT_UNKNOWN = 8
     """The brake was, or may have been, heated by what nobody knows."""
     UNVERIFIED = 16
-    """Nothing checks an input that the heat mode goes by."""
+    """Nothing checks an input that the heat mode goes by, or the model."""
     MODEL_DISAGREES = 32
     """Measurements are, or were, far from the estimate."""
     IMPOSSIBLE = 64

@@ -9,7 +9,7 @@ reasons in a table.
 from array import array
 from collections.abc import Mapping, Sequence
 from functools import partial, reduce
-from math import isfinite, isnan
+from math import inf, isfinite, isnan
 from operator import or_
 from typing import Final, NamedTuple
 
@@ -27,7 +27,9 @@ from bstm_daemon.estimator.blocks import Block, Instant
 from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.trust import Trust
 from bstm_daemon.estimator.verified import is_compared, unverified_inputs
+from bstm_daemon.model.thermal.properties import DISC_LIMIT_C
 from bstm_daemon.roles import ROLE_INDEX, ROLES
+from bstm_daemon.units import KELVIN_OFFSET
 
 LOWEST_K: Final = 200.0
 HIGHEST_K: Final = 1800.0
@@ -55,6 +57,8 @@ temperatures are above the ambient's."""
 _UNPROVEN: Final = FLAGS["speed_unproven"] | FLAGS["forces_unproven"]
 """Checks of the motion that had no occasion yet."""
 
+_UNCHECKED_K: Final = DISC_LIMIT_C + KELVIN_OFFSET
+
 
 class Needs(NamedTuple):
     """What a corner needs.
@@ -62,8 +66,9 @@ class Needs(NamedTuple):
     Bits of a step's flags: those of an input that is missing, those that
     speak against one now, and those among them that speak against the heat,
     which the brake remembers; whether its heat was unknown, and for too
-    long; whether nothing proved it. Whether its disc must be measured, and
-    whether an input that it goes by is unverified.
+    long; whether nothing proved it. Whether its disc must be measured, whether
+    an input that it goes by is unverified, and from which temperature of the
+    disc [K] on the model is.
     """
 
     missing: int
@@ -74,6 +79,7 @@ class Needs(NamedTuple):
     unproven: int
     measured: bool
     unverified: bool
+    unchecked_k: float
 
     @property
     def any_flag(self) -> int:
@@ -93,17 +99,23 @@ def needs_of_corners(
     """
     found: dict[str, Needs] = {}
     unverified = unverified_inputs(config, present)
+    roles = {ROLES[number].name for number in present}
     for place, corner in enumerate(config.corner):
         remembered = _remembered(config, present, place)
+        compared = is_compared(config.heat.mode, roles, corner.name)
+        measured = config.heat.mode == "measured"
         found[corner.name] = Needs(
             missing=_missing(config, present, place),
             suspect=_pressure(config, place) | remembered,
             remembered=remembered,
             uncertain=HEAT_UNCERTAIN << place | FLAGS["driven_unseen"],
             lost=HEAT_LOST << place,
-            unproven=_unproven(config, present, corner.name),
-            measured=config.heat.mode == "measured",
+            unproven=0
+            if compared or config.heat.mode != "fused"
+            else _UNPROVEN,
+            measured=measured,
             unverified=bool(unverified[corner.name]),
+            unchecked_k=inf if compared or measured else _UNCHECKED_K,
         )
     return found
 
@@ -146,6 +158,8 @@ def judge(
         # a column of each node: one look at each instead of one a publication
         columns = [output[place + k :: stride] for k in range(group.nodes)]
         all_possible = bool(block.flags) and all(map(_is_possible, columns))
+        discs = columns[group.state_names.index("disc")]
+        is_hot = max(discs, default=0.0) > need.unchecked_k
         unknown = min(block.known_from[name], len(block.flags))
         always = _UNVERIFIED if need.unverified else 0
         reasons = array("B", [always | _START_UNKNOWN] * unknown)
@@ -153,6 +167,7 @@ def judge(
         if (
             anything
             or not all_possible
+            or is_hot
             or all_flags & (heeded | need.unproven)
             or need.measured
             or trust.remembers(name)
@@ -165,8 +180,11 @@ def judge(
                     found=of_car[i] or flags & need.remembered != 0,
                 ):
                     reasons[i] |= _INPUT_SUSPECT
+                unchecked = is_hot and discs[i] > need.unchecked_k
                 if unproven.holds(
-                    name, step_s, found=flags & need.unproven != 0
+                    name,
+                    step_s,
+                    found=unchecked or flags & need.unproven != 0,
                 ):
                     reasons[i] |= _UNVERIFIED
                 if model_check.holds(name, step_s, found=name in strong[i]):
@@ -225,14 +243,6 @@ def _missing(config: Config, present: Mapping[int, int], place: int) -> int:
         if ROLE_INDEX[role] in present:
             flags |= FLAGS[f"{name}_missing"]
     return flags
-
-
-def _unproven(config: Config, present: Mapping[int, int], corner: str) -> int:
-    """Return the bits of what nothing proved, where the motion proves it."""
-    mode, roles = config.heat.mode, {ROLES[n].name for n in present}
-    if mode != "fused" or is_compared(mode, roles, corner):
-        return 0
-    return _UNPROVEN
 
 
 def _pressure(config: Config, place: int) -> int:

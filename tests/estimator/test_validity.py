@@ -143,6 +143,7 @@ def test_an_unknown_start_is_felt_as_long_as_the_slowest_lump(
 
 PUBLISHED_PER_S = 10
 MOVING = {"vehicle_speed": 20.0, "wheel_pressure_fr": 0.0}
+RELEASED = {**MOVING, "wheel_pressure_fl": 0.0}
 BOTH = {**MOVING, "wheel_pressure_fl": 2e6}
 Spans = list[tuple[float, dict[str, float]]]
 
@@ -188,7 +189,7 @@ def test_a_missing_input_and_lost_heat_are_told_apart(
 ) -> None:
     """The pressure is missing, then the heat unknown; one remains."""
     assert compiled is not None
-    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (30.0 * 12.0 + 20.0, BOTH)]
+    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (380.0, RELEASED)]
     found = over_spans(front(), spans, history_known=True)
 
     assert reasons_in(found, "FL") == [
@@ -294,6 +295,26 @@ def test_what_nothing_proved_is_unverified_and_remembered(
         assert Reason.UNVERIFIED not in why[5]
 
 
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_disc_too_hot_for_the_model_is_unverified_and_remembered(
+    front: Callable[..., Config],
+    measured: bool,  # noqa: FBT001
+) -> None:
+    """Braked to above 650 degC, then released; a thermocouple checks it."""
+    couple = {"temp_fl_fluid": 300.0} if measured else {}
+    spans: Spans = [
+        (240.0, BOTH | couple),
+        (100.0, RELEASED | couple),
+    ]
+
+    found = over_spans(front(), spans, history_known=True)
+
+    hot = [bool(code & Reason.UNVERIFIED) for code in found["FL why"]]
+    assert not any(hot[:300])
+    assert hot[-1] is not measured
+    assert not any(found["FR why"])
+
+
 def test_reasons_are_worded_in_the_order_of_their_bits() -> None:
     """Each has words of its own."""
     why = Reason.MODEL_DISAGREES | Reason.START_UNKNOWN
@@ -308,7 +329,7 @@ def test_heat_unknown_for_too_long_is_invalid_then_degraded(
 ) -> None:
     """10 s of driving without this corner's pressure; 30 times as long."""
     assert compiled is not None
-    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (30.0 * 12.0 + 20.0, BOTH)]
+    spans: Spans = [(3.0, BOTH), (12.5, MOVING), (380.0, RELEASED)]
     found = over_spans(front(), spans, history_known=True)
 
     codes = found["FL"]

@@ -24,6 +24,7 @@ from bstm_daemon.analysis.statistics.series import (
     white_noise,
 )
 from bstm_daemon.config.sections import Config
+from bstm_daemon.model.thermal.properties import DISC_LIMIT_C
 from bstm_daemon.units import KELVIN_OFFSET
 
 NODES: Final = ("disc", "pad_front", "pad_back", "fluid")
@@ -47,9 +48,6 @@ LAST_S: Final = 20.0 * 60.0
 
 LONG_S: Final = 2.0 * 3600.0
 """Drives from which on the drift is judged."""
-
-DISC_LIMIT_C: Final = 650.0
-"""The disc is judged below: above, its cheeks are far from one lump."""
 
 WARM_K: Final = 20.0
 """A peak lower above the air is none."""

@@ -194,6 +194,18 @@ both sums of squares [m2/s3]: 1.6 are three changes by 1 m/s2. Before there are
 as many, the sum of the products beyond the limit, and the square of the
 correlation."""
 
+TURN_SPEED_MS: Final = 5.0
+TURN_LEAST_MS2: Final = 1.0
+TURN_LEAST: Final = 15.0
+TURN_MOST: Final = 30.0
+TURN_LIMIT: Final = 1.13
+TURN_CORRELATION: Final = 0.8
+"""In a bend speed times yaw rate is the acceleration to the side. The body's
+roll of 0.1 rad/g makes the accelerometer read a tenth more, the bank of a
+bend less, so that a sound car has 0.9 to 1.1 of it; from TURN_LIMIT on the
+speeds are too low. Above the first two, without intervention; least and most
+sum of its squares [m2/s3], and the square of the correlation."""
+
 PROOF_MS2: Final = 1.0
 PROOF_J: Final = 4e5
 """Braking work up to which speeds and accelerometer need no proof: a disc is

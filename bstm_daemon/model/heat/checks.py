@@ -56,8 +56,10 @@ from bstm_daemon.model.heat.memory import NEVER, CheckMemory
 from bstm_daemon.model.heat.motion_checks import (
     all_frozen,
     compare_motion,
+    compare_turns,
     contradicted,
     leaps,
+    too_slow_in_bends,
     watch_leap,
     wrong_scale,
 )
@@ -166,6 +168,7 @@ class Checks:
         self._compare_zero(now)
         watch_leap(self.m, now, median, count)
         compare_motion(self.m, now, noise=bool(refused & _NO_MOTION))
+        compare_turns(self.m, now)
         compare_air(self.m, now)
         flags = self._contradictions(now, count) | refused
         flags |= self._speed_flags(now, flags)
@@ -341,6 +344,8 @@ class Checks:
         flags = 0
         if now.speed_known and all_frozen(self.m):
             flags |= FLAGS["speed_suspect"] | FLAGS["stuck"]
+        if now.speed_known and too_slow_in_bends(self.m):
+            flags |= FLAGS["speed_suspect"] | FLAGS["acceleration_contradicts"]
         if isnan(now.acceleration):
             return flags
         if contradicted(self.m):

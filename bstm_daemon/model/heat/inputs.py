@@ -52,6 +52,8 @@ _SPEED: Final = ROLE_INDEX["vehicle_speed"]
 _PRIMARY: Final = ROLE_INDEX["primary_pressure"]
 _SECONDARY: Final = ROLE_INDEX["secondary_pressure"]
 _ACCELERATION: Final = ROLE_INDEX["acceleration_longitudinal"]
+_LATERAL: Final = ROLE_INDEX["acceleration_lateral"]
+_YAW_RATE: Final = ROLE_INDEX["yaw_rate"]
 _TORQUE: Final = ROLE_INDEX["powertrain_torque"]
 _SWITCH: Final = ROLE_INDEX["brake_switch"]
 _TRAVEL: Final = ROLE_INDEX["brake_pedal_travel"]
@@ -390,6 +392,8 @@ class Inputs:
             intervenes=self._intervenes(),
             secured=self._secured(),
             acceleration=self.heading * self.reading(_ACCELERATION),
+            lateral=self.reading(_LATERAL),
+            yaw_rate=self.reading(_YAW_RATE),
             ambient_k=self.reading(_AMBIENT),
             speeds=[
                 abs(self.reading(role)) for role in (*self.wheel_role, _SPEED)

@@ -142,6 +142,9 @@ class CheckMemory:
     rate_square: float
     accel_square: float
     accel_rate: float
+    turn_square: float
+    lateral_square: float
+    turn_lateral: float
     median_speed: float
     unmoved_square: float
     unmoved_fault_s: float

@@ -40,6 +40,12 @@ from bstm_daemon.model.heat.check_rules import (
     STUCK,
     TILT_MS2,
     TILT_S,
+    TURN_CORRELATION,
+    TURN_LEAST,
+    TURN_LEAST_MS2,
+    TURN_LIMIT,
+    TURN_MOST,
+    TURN_SPEED_MS,
     UNMOVED_S,
     UNMOVED_SQUARE,
 )
@@ -151,6 +157,37 @@ def _compare_frozen(m: CheckMemory, now: Readings, accel: float) -> None:
         failed = False
     m.unmoved_fault_s = STUCK.advance(
         m.unmoved_fault_s, now.dt_s, failed=failed
+    )
+
+
+def compare_turns(m: CheckMemory, now: Readings) -> None:
+    """Compare what speed and yaw rate make of a bend with what is felt."""
+    turn = now.speed * now.yaw_rate
+    if (
+        not abs(turn) > TURN_LEAST_MS2
+        or isnan(now.lateral)
+        or now.speed < TURN_SPEED_MS
+        or now.intervenes
+    ):
+        return
+    m.turn_square += turn * turn * now.dt_s
+    m.lateral_square += now.lateral * now.lateral * now.dt_s
+    m.turn_lateral += now.lateral * turn * now.dt_s
+    if m.turn_square > TURN_MOST:
+        faded = TURN_MOST / m.turn_square
+        m.turn_square *= faded
+        m.lateral_square *= faded
+        m.turn_lateral *= faded
+
+
+def too_slow_in_bends(m: CheckMemory) -> bool:
+    """Whether bends are felt more than the speed explains."""
+    product = abs(m.turn_lateral)
+    return (
+        m.turn_square > TURN_LEAST
+        and product > TURN_LIMIT * m.turn_square
+        and product * product
+        > TURN_CORRELATION * m.turn_square * m.lateral_square
     )
 
 

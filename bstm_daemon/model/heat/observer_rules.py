@@ -142,7 +142,7 @@ BALANCE_MORE_MS2: Final = 0.3
 BALANCE_MORE_SHARE: Final = 0.35
 BALANCE_STEEP: Final = 1.4
 BALANCE_MORE_FLAT: Final = 0.8
-BALANCE_STDS: Final = 2.5
+BALANCE_STDS: Final = 2.0
 """Braking by motion is a straight line over that by pressure, with a memory of
 BALANCE_WINDOWS. Where the line is known (windows, spread of the braking by
 pressure) and at no pressure is below 0 by more than BALANCE_MS2 and

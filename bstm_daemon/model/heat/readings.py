@@ -31,6 +31,8 @@ class Readings:
     intervenes: bool
     secured: float
     acceleration: float
+    lateral: float
+    yaw_rate: float
     ambient_k: float
     speeds: Speeds
     pressures: Pressures

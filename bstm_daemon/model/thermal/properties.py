@@ -12,6 +12,10 @@ REFERENCE_K: Final = 293.15
 """Temperature at which a cooling form with constant h A takes cp, and that a
 curve keeps whatever its exponent."""
 
+DISC_LIMIT_C: Final = 650.0
+"""Up to here the model is checked: above, a disc's cheeks are far from one
+lump, and its iron absorbs more heat than any formula of it says."""
+
 
 def _celsius_table(
     temperature_c: Sequence[float], value: Sequence[float]

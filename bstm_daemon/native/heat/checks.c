@@ -237,6 +237,8 @@ static int64_t motion_flags(const Checks *c, const Readings *now)
     int64_t flags = 0;
     if (now->speed_known && motion_checks_all_frozen(c->m))
         flags |= FLAG_SPEED_SUSPECT | FLAG_STUCK;
+    if (now->speed_known && motion_checks_too_slow_in_bends(c->m))
+        flags |= FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
     if (isnan(now->acceleration)) return flags;
     if (motion_checks_contradicted(c->m))
         flags |= FLAG_ACCELERATION_SUSPECT | FLAG_ACCELERATION_CONTRADICTS;
@@ -394,6 +396,7 @@ int64_t checks_close(Checks *c, const Readings *now)
     motion_checks_watch_leap(c->m, now, middle, count);
     motion_checks_compare_motion(c->m, now, c->corners + 1,
                                  (refused & NO_MOTION) != 0);
+    motion_checks_compare_turns(c->m, now);
     compare_air(c, now);
     int64_t flags = contradictions(c, now, count) | refused;
     flags |= speed_flags(c, now, flags);

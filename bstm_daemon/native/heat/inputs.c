@@ -320,6 +320,8 @@ void inputs_readings(const Inputs *p, double dt_s, const int *source,
     now->secured = secured(p);
     now->acceleration =
         p->heading * inputs_reading(p, ROLE_ACCELERATION_LONGITUDINAL);
+    now->lateral = inputs_reading(p, ROLE_ACCELERATION_LATERAL);
+    now->yaw_rate = inputs_reading(p, ROLE_YAW_RATE);
     now->ambient_k = inputs_reading(p, ROLE_AMBIENT_TEMPERATURE);
     now->braking = now->brake_switch > 0.0;
     now->speeds[corners] = fabs(inputs_reading(p, ROLE_VEHICLE_SPEED));

@@ -121,6 +121,32 @@ void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
     compare_frozen(m, now, speeds, accel);
 }
 
+void motion_checks_compare_turns(CheckMemoryFloats *m, const Readings *now)
+{
+    const double turn = now->speed * now->yaw_rate;
+    if (!(fabs(turn) > TURN_LEAST_MS2) || isnan(now->lateral)
+        || now->speed < TURN_SPEED_MS || now->intervenes)
+        return;
+    m->turn_square += turn * turn * now->dt_s;
+    m->lateral_square += now->lateral * now->lateral * now->dt_s;
+    m->turn_lateral += now->lateral * turn * now->dt_s;
+    if (m->turn_square > TURN_MOST) {
+        const double faded = TURN_MOST / m->turn_square;
+        m->turn_square *= faded;
+        m->lateral_square *= faded;
+        m->turn_lateral *= faded;
+    }
+}
+
+int motion_checks_too_slow_in_bends(const CheckMemoryFloats *m)
+{
+    const double product = fabs(m->turn_lateral);
+    return m->turn_square > TURN_LEAST
+        && product > TURN_LIMIT * m->turn_square
+        && product * product
+            > TURN_CORRELATION * m->turn_square * m->lateral_square;
+}
+
 int motion_checks_stand_shown(const CheckMemoryFloats *m)
 {
     return m->accel_held_s < FROZEN_SPEED_S && m->slow_speed >= 0.0

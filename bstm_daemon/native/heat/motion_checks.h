@@ -10,6 +10,9 @@
 /* Follow speed and accelerometer through a step; noise: not to use. */
 void motion_checks_compare_motion(CheckMemoryFloats *m, const Readings *now,
                                   int speeds, int noise);
+/* Compare what speed and yaw rate make of a bend with what is felt. */
+void motion_checks_compare_turns(CheckMemoryFloats *m, const Readings *now);
+int motion_checks_too_slow_in_bends(const CheckMemoryFloats *m);
 int motion_checks_stand_shown(const CheckMemoryFloats *m);
 int motion_checks_contradicted(const CheckMemoryFloats *m);
 int motion_checks_wrong_scale(const CheckMemoryFloats *m);

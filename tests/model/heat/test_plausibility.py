@@ -874,6 +874,52 @@ def town(
 
 
 @pytest.mark.parametrize(
+    ("speed", "felt", "active", "comes"),
+    [
+        (1.0, 1.0, 0.0, False),
+        (1.0, 1.1, 0.0, False),  # the body rolls
+        (1.0, 0.8, 0.0, False),  # a bend is banked
+        (1.15, 1.0, 0.0, False),  # too much heat hides none
+        (0.85, 1.0, 0.0, True),
+        (0.85, -1.0, 0.0, True),  # positive to the other side
+        (0.85, 1.0, 1.0, False),  # a skid is no bend
+    ],
+)
+def test_speeds_that_are_too_low_for_their_bends(  # noqa: PLR0917
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    make_car: Any,
+    speed: float,
+    felt: float,
+    active: float,
+    comes: bool,  # noqa: FBT001
+) -> None:
+    """Bends of 2 m/s2 to both sides, at 15 m/s; then the speed is right."""
+    drive = Drive()
+    for i in range(40):
+        side = 2.0 * (-1.0) ** i
+        drive.hold(
+            2.0,
+            vehicle_speed=15.0 * (speed if i < 20 else 1.0),
+            yaw_rate=side / 15.0,
+            acceleration_lateral=side * (felt if i < 20 else 1.0),
+            esc_active=active,
+        )
+    run = start(
+        make_car(),
+        kernel,
+        *("vehicle_speed", "yaw_rate", "acceleration_lateral", "esc_active"),
+    ).feed(drive.samples)
+
+    marks = bits(run, FLAGS["speed_suspect"])
+    assert any(marks) is comes
+    if comes:
+        # 15 m2/s3 by a speed of 0.85
+        assert first_s(marks) == pytest.approx(5.2, abs=0.1)
+    assert not marks[-1]
+
+
+@pytest.mark.parametrize(
     ("speed", "accel", "comes"),
     [
         (1.0, 1.0, False),
