@@ -98,8 +98,10 @@ class Coupling:
             latest.
         """
         samples = times_us, roles, values
-        if self.coupled:
-            self.heat_interfaces(state, batches, anew=False)
+        interfaces = self._interfaces(batches) if self.coupled else []
+        for corner, own, disc, pad in interfaces:
+            if not state.interface_k(corner) > 0.0:
+                state.heat_interface(corner, 0.5 * (own[disc] + own[pad]))
         each_us = self.coupling_us if self.coupled else self._line_us
         outputs = tuple(array("d") for _ in batches)
         done, code = 0, FULL
@@ -117,7 +119,8 @@ class Coupling:
                 break
             last_us = self.times[done - 1]
             if self.coupled and last_us % self.coupling_us == 0:
-                self.heat_interfaces(state, batches)
+                for corner, own, disc, pad in interfaces:
+                    state.heat_interface(corner, 0.5 * (own[disc] + own[pad]))
             if last_us % self._line_us == 0:
                 break
         return index, done, code, outputs
@@ -126,24 +129,24 @@ class Coupling:
         self,
         state: SampleState,
         batches: Sequence[tuple[Batch, Sequence[str]]],
-        *,
-        anew: bool = True,
     ) -> None:
-        """Give the friction laws the mean of disc and face of the pads.
+        """Give the friction laws the mean of disc and face of the pads."""
+        for corner, own, disc, pad in self._interfaces(batches):
+            state.heat_interface(corner, 0.5 * (own[disc] + own[pad]))
 
-        *anew*: also those that have one already.
-        """
-        order = self.plan.corners
+    def _interfaces(
+        self, batches: Sequence[tuple[Batch, Sequence[str]]]
+    ) -> list[tuple[int, array[float], int, int]]:
+        """Return number and state of each corner, and disc and pad in it."""
+        found = []
         for batch, names in batches:
-            own, width = batch.state, batch.width
             disc, pad = map(batch.names.index, ("disc", "pad_front"))
-            for member, name in enumerate(names):
-                corner = order.index(name)
-                if not anew and state.interface_k(corner) > 0.0:
-                    continue
-                first = member * width
-                mean_k = 0.5 * (own[first + disc] + own[first + pad])
-                state.heat_interface(corner, mean_k)
+            for first, name in zip(
+                range(0, len(batch.state), batch.width), names, strict=False
+            ):
+                corner = self.plan.corners.index(name)
+                found.append((corner, batch.state, first + disc, first + pad))
+        return found
 
     def _until(self, line_us: int, state: SampleState) -> int:
         """Return the rows up to the next multiple of *line_us*, inclusive."""

@@ -24,7 +24,11 @@ from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.learned import (
     known_covariance,
 )
-from bstm_daemon.analysis.matching.march import march, model_of
+from bstm_daemon.analysis.matching.march import (
+    initial_temperatures,
+    march,
+    model_of,
+)
 from bstm_daemon.analysis.matching.problem import Series, series_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.analysis.statistics.series import Column
@@ -135,11 +139,17 @@ class Comparison(Layout):
         return np.clip(x, self.lower, self.upper), effects
 
     def residuals_k(
-        self, points: Column, effects: Sequence[EffectConfig] = ()
+        self,
+        points: Column,
+        effects: Sequence[EffectConfig] = (),
+        *,
+        each_settles: bool = False,
     ) -> Column:
         """Return model less measurement [K] at *points* (k, p), (n, k).
 
-        The brake power is formed anew where *effects* act on it.
+        The brake power is formed anew where *effects* act on it. What is not
+        measured begins as it settles at the first point or, with
+        *each_settles*, at each.
         """
         configs = [self.config(x, effects) for x in points]
         drives = self.drives(effects)
@@ -147,7 +157,8 @@ class Comparison(Layout):
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             jobs = {
                 pair: pool.submit(
-                    self._shown, drives[pair[0]], pair, configs, scales
+                    self._shown,
+                    *(drives[pair[0]], pair, configs, scales, each_settles),
                 )
                 for pair in self.pairs
             }
@@ -207,6 +218,7 @@ class Comparison(Layout):
         pair: tuple[int, str],
         configs: Sequence[Config],
         scales: Column,
+        each_settles: bool,  # noqa: FBT001
     ) -> dict[str, Column]:
         """March the corner of *pair* over *drive*, see :meth:`sampled`."""
         corner = pair[1]
@@ -218,8 +230,11 @@ class Comparison(Layout):
             lanes = np.flatnonzero(scales == scale)
             own = drive.with_power_times(scale)
             model = models[lanes[0]]
+            variants = [programs[i] for i in lanes]
+            settle = variants[: None if each_settles else 1]
+            begin = [initial_temperatures(p, own, corner) for p in settle]
             result = march(
-                *([programs[i] for i in lanes], own, corner),
+                *(variants, own, corner, begin if each_settles else begin[0]),
                 nodes=[model.shown(one.node) for one in self.series],
             )
             sampled = self.sampled(configs[0], pair[0], model, result)

@@ -6,6 +6,7 @@ estimator's pass forms from the samples: so the samples are kept.
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
@@ -21,20 +22,20 @@ from bstm_daemon.analysis.matching.drives import (
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.estimator.corner_model import corner_model
-from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.model.thermal.kernel import Batch
-from bstm_daemon.model.wear.car import CarWear
+from bstm_daemon.estimator.coupling import Coupling
+from bstm_daemon.estimator.estimator import PUBLISH_US, ROWS, Estimator
+from bstm_daemon.model.wear.car import REFIT_US, CarWear
 from bstm_daemon.replay.columns import present_roles
 
 if TYPE_CHECKING:
-    from array import array
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.coupling import Outputs
+    from bstm_daemon.model.thermal.kernel import Batch
 
 PIECE: Final = 1 << 20
 """Samples that the estimator takes at a time."""
@@ -211,37 +212,32 @@ class _Trial(_Heating):
 
     def __init__(self, config: Config, present: Mapping[int, int]) -> None:
         super().__init__(config, present)
+        self._coupling = _Coarse(
+            *(self.plan, self.kernel, ROWS, (PUBLISH_US, REFIT_US)),
+            coupled=self._coupling.coupled,
+        )
         self._coupling.coupling_us = THIN_COUPLING_US
         self.wear = CarWear(self.config, ())
 
-    def _batches(self, start_k: float) -> list[tuple[Batch, list[str]]]:
-        return [
-            (_Coarse(one, start_k), names)
-            for one, names in super()._batches(start_k)
-        ]
 
-
-class _Coarse(Batch):
+class _Coarse(Coupling):
     """Marches in one step of the mean inputs: for friction laws only."""
 
-    def __init__(self, batch: Batch, start_k: float) -> None:
-        super().__init__(
-            *(batch.programs, start_k, batch.input_set, batch.kernel),
-            sets=batch.sets,
-        )
-
-    def march(
+    def _march(
         self,
-        inputs: array[float] | memoryview,
+        batches: Sequence[tuple[Batch, Sequence[str]]],
+        first: int,
         steps: int,
-        dt_s: float,
-        output_every: int = 1,
-        output_phase: int = 1,
-    ) -> array[float]:
-        del output_every, output_phase
-        rows = np.frombuffer(inputs).reshape(steps, -1)
-        mean = memoryview(np.add.reduce(rows) / steps)
-        return super().march(mean, 1, steps * dt_s)
+    ) -> Outputs:
+        if steps and batches:
+            rows = np.frombuffer(self.rows).reshape(-1, self._width)
+            mean = memoryview(
+                np.add.reduce(rows[first : first + steps]) / steps
+            )
+            dt_s = steps * (self.plan.step_us * 1e-6)
+            for batch, _ in batches:
+                batch.march(mean, 1, dt_s, output_phase=2)
+        return (array("d"),) * len(batches)
 
 
 def _pieces(events: Events) -> Iterator[Events]:

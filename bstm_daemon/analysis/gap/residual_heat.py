@@ -179,32 +179,37 @@ def _node_heat(
     begins = np.arange(0, steps - WINDOW_STEPS + 1, WINDOW_STEPS)
     ends = begins + WINDOW_STEPS - 1
 
-    def ended(shifted: str = "", extra_w: float = 0.0) -> Column:
-        """Return the node's temperature at the end of each window."""
+    def ended(shifted: Sequence[str], extra_w: float = 0.0) -> Column:
+        """Return the node's temperature at the end of each window.
+
+        (windows, shifted), each with the series of that name shifted.
+        """
         series = {
-            name: own + (SHIFT_K if name == shifted else 0.0)
+            name: own[:, None] + [SHIFT_K * (one == name) for one in shifted]
             for name, own in measured.items()
         }
-        anchored = np.full(steps, np.nan)
+        anchored = np.full((steps, len(shifted)), np.nan)
         anchored[begins] = series[node][begins]
         series[node] = anchored
         probed = drive.with_extra_heat(
             np.full(drive.inputs.shape[:2], extra_w)
         )
         heated = compile_network(program.network.with_extra_heat(node))
-        out = march([heated], probed, corner, initial, series)
-        return np.asarray(out[node][ends, 0])
+        variants = [heated] * len(shifted)
+        out = march(variants, probed, corner, initial, series)
+        return np.asarray(out[node][ends])
 
-    base = ended()
-    response = (ended(extra_w=PROBE_W) - base) / PROBE_W
-    kept = (ended(node) - base) / SHIFT_K
+    others = [name for name in measured if name != node]
+    base, own, *beside = ended(["", node, *others]).T
+    response = (ended([""], PROBE_W)[:, 0] - base) / PROBE_W
+    kept = (own - base) / SHIFT_K
     duration_s = (WINDOW_STEPS - 1) * GRID_S
     to_heat = duration_s / response
     error = base - measured[node][ends]
     # noise of the node's own two readings and of its neighbours'
     draws = kept * noise[node][:, :-1] - noise[node][:, 1:]
-    for name in (one for one in measured if one != node):
-        slope = (ended(name) - base) / SHIFT_K
+    for name, shifted in zip(others, beside, strict=True):
+        slope = (shifted - base) / SHIFT_K
         middle = 0.5 * (noise[name][:, :-1] + noise[name][:, 1:])
         draws = draws + slope * middle
     known = np.isfinite(error) & np.isfinite(to_heat)

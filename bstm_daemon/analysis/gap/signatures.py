@@ -51,6 +51,9 @@ HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)
 CHANGE_STRENGTHS: Final[tuple[float, ...]] = (-0.5, 0.5)
 """Strengths simulated; the heat needs a pass over all samples for each."""
 
+AT_ONCE: Final = 16
+"""Changes marched side by side: more take memory, not less time."""
+
 SILENT_K: Final = 1e-3
 """A candidate that nowhere changes the model by more is not excited."""
 
@@ -189,9 +192,14 @@ def sensed(
     """Return residuals and sensitivities in kelvin at its start."""
     base, jacobian = _sensitivities_k(comparison, comparison.start)
     found, silent, forms = {}, [], {}
+    values = _of_values_k(comparison, base)
     names = [*names, *comparison.trials]
     for number, name in enumerate(names):
-        terms = _terms_k(comparison, name, base)
+        terms = (
+            _parabola_k(CHANGE_STRENGTHS, values[name])
+            if name in values
+            else _terms_k(comparison, name, base)
+        )
         if terms is None:
             silent.append(name)
         else:
@@ -290,6 +298,28 @@ def _sensitivities_k(
     return apart[:, 0], (apart[:, 1:] - apart[:, :1]) / steps
 
 
+def _of_values_k(
+    comparison: Comparison, base: Column
+) -> dict[str, list[Column]]:
+    """Return what changes of values do at each strength, marched at once."""
+    start, trials = comparison.start, comparison.trials
+    own = [name for name, one in trials.items() if one.effect is None]
+    points = [
+        comparison.placed(start, {name: strength})[0]
+        for name in own
+        for strength in CHANGE_STRENGTHS
+    ]
+    changes: list[Column] = []
+    for first in range(0, len(points), AT_ONCE):
+        some = np.array(points[first : first + AT_ONCE])
+        apart = comparison.residuals_k(some, each_settles=True)
+        changes += list((apart - base[:, None]).T)
+    step = len(CHANGE_STRENGTHS)
+    return {
+        name: changes[i * step : (i + 1) * step] for i, name in enumerate(own)
+    }
+
+
 def _terms_k(
     comparison: Comparison,
     name: str,
@@ -312,14 +342,21 @@ def _terms_k(
             # it does not fit this structure
             return None
         changes.append(apart[:, 0] - base)
-    if max(float(np.abs(one).max()) for one in changes) < SILENT_K:
-        return None
-    a = np.array(strengths)
     if scaled:
         # a pass for each would double the time of the search: the heat is
         # nearly linear in the effect's strength, of which a is the logarithm
-        factor = np.expm1(STEP_OF_CHANGE * a)
+        factor = np.expm1(STEP_OF_CHANGE * np.array(strengths))
         changes = [changes[0] * one / factor[-1] for one in factor]
+    return _parabola_k(strengths, changes)
+
+
+def _parabola_k(
+    strengths: Sequence[float], changes: Sequence[Column]
+) -> Column | None:
+    """Return the terms through *changes* [K] and 0, None where they are."""
+    if max(float(np.abs(one).max()) for one in changes) < SILENT_K:
+        return None
+    a = np.array(strengths)
     matrix = np.column_stack((a, a**2))[:, : len(a)]
     terms = np.linalg.lstsq(matrix, np.array(changes), rcond=None)[0]
     curved = terms[1] if len(a) > 1 else 0.0 * terms[0]

@@ -207,7 +207,9 @@ def _gap(
     plain = replace(plain, shown=shown)
     if until != "show":
         return plain
-    before, after = _maps(comparison, extended, held_out or recordings)
+    before, after = located, _map(comparison, extended, held_out or recordings)
+    if held_out:
+        before = locate(target.config, held_out, target.corners)
     return replace(plain, before=before, after=after)
 
 
@@ -313,10 +315,10 @@ def _prospects(
     return found, prior
 
 
-def _maps(
+def _map(
     comparison: Comparison, extended: Fit, recordings: Sequence[Recording]
-) -> tuple[Located, Located]:
-    """Return the maps of *recordings* before and after."""
+) -> Located:
+    """Return the map of *recordings* with what was found."""
     target = comparison.target
     x = extended.written_x
     after = comparison.config(x, extended.effects())
@@ -326,7 +328,4 @@ def _maps(
     for one in recordings:
         drive = one.heated_by(after) if heat else one.drive
         heated.append(replace(one, drive=drive.with_power_times(scale)))
-    return (
-        locate(target.config, recordings, target.corners),
-        locate(after, heated, target.corners),
-    )
+    return locate(after, heated, target.corners)

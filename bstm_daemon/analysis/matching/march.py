@@ -71,7 +71,7 @@ def march(  # noqa: PLR0913
     programs: Sequence[Program],
     drive: Drive,
     corner: str,
-    initial_k: Mapping[str, float] | None = None,
+    initial_k: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
     forced: Mapping[str, Column] | None = None,
     power_w: Column | None = None,
     *,
@@ -84,9 +84,10 @@ def march(  # noqa: PLR0913
         programs: one a variant, of one structure, without forced nodes.
         drive: its inputs.
         corner: whose inputs.
-        initial_k: temperatures [K] at the start, by node; as measured.
-        forced: nodes that follow a series, [K] at each step's end, (steps,);
-            free where it is NaN.
+        initial_k: temperatures [K] at the start, by node, of all variants or
+            of each; as measured, and as the first one settles.
+        forced: nodes that follow a series, [K] at each step's end, (steps,)
+            or (steps, variants); free where it is NaN.
         power_w: brake power of each variant, (steps, variants); as *drive*.
         nodes: those that are wanted; all.
         memories: of the network that are returned too.
@@ -95,27 +96,25 @@ def march(  # noqa: PLR0913
         Temperatures [K] by node, (steps, variants); of a thermocouple whose
         depth is configured those at its place.
     """
-    if initial_k is None:
-        initial_k = initial_temperatures(programs[0], drive, corner)
+    initial_k = initial_k or initial_temperatures(programs[0], drive, corner)
+    if isinstance(initial_k, Mapping):
+        initial_k = [initial_k] * len(programs)
     inputs = drive.inputs[:, drive.corners.index(corner)]
     placed = drive.placed.get(corner, {})
     names = [node.name for node in programs[0].network.nodes]
-    if forced:
-        forced = {node_at(one, placed, names): k for one, k in forced.items()}
-        networks = [one.network for one in programs]
-        for node in forced:
-            networks = [one.with_forced(node) for one in networks]
-        programs = [compile_network(one) for one in networks]
-        inputs = np.column_stack((inputs, *forced.values()))
+    forced = {node_at(n, placed, names): k for n, k in (forced or {}).items()}
     sets = [0] * len(programs)
-    if power_w is not None:
+    if power_w is not None or any(k.ndim > 1 for k in forced.values()):
         sets = list(range(len(programs)))
         inputs = np.repeat(inputs[:, None], len(programs), axis=1)
+    if power_w is not None:
         inputs[:, :, CHANNELS.index("brake_power_w")] = power_w
+    if forced:
+        programs, inputs = _following(programs, inputs, forced)
     batch = Batch(programs, 0.0, sets)
-    for member in range(len(programs)):
+    for member, own_k in enumerate(initial_k):
         for i, name in enumerate(names):
-            batch.state[member * batch.width + i] = initial_k[name]
+            batch.state[member * batch.width + i] = own_k[name]
     size = batch.width + batch.sources
     between = {*placed, *pad_nodes(names)} if placed else set()
     wanted = [n for n in names if not nodes or n in {*nodes, *between}]
@@ -132,6 +131,22 @@ def march(  # noqa: PLR0913
     if power_w is None:
         power_w = drive.channel(corner, "brake_power_w")[:, None]
     return found | _at_their_places(found, placed, power_w)
+
+
+def _following(
+    programs: Sequence[Program], inputs: Column, forced: Mapping[str, Column]
+) -> tuple[list[Program], Column]:
+    """Return programs whose nodes follow *forced*, and inputs with these."""
+    networks = [one.network for one in programs]
+    for node in forced:
+        networks = [one.with_forced(node) for one in networks]
+    shape = inputs.shape[:-1]
+    series = [
+        np.broadcast_to(k if k.ndim == len(shape) else k[:, None], shape)
+        for k in forced.values()
+    ]
+    inputs = np.concatenate((inputs, np.stack(series, -1)), axis=-1)
+    return [compile_network(one) for one in networks], inputs
 
 
 def _at_their_places(

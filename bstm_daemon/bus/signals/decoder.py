@@ -185,10 +185,11 @@ class _MessageDecoder:
 def _holds(
     conditions: Sequence[extraction.Condition], values: Sequence[float]
 ) -> bool:
-    return all(
-        math.isfinite(values[signal]) and int(values[signal]) in allowed
-        for signal, allowed in conditions
-    )
+    for signal, allowed in conditions:
+        value = values[signal]
+        if not (math.isfinite(value) and int(value) in allowed):
+            return False
+    return True
 
 
 def _shift(signal: extraction.RawSignal, frame_bits: int) -> int:

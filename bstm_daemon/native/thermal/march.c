@@ -3,7 +3,7 @@
  *
  * Knows nodes, links, sources, memories; knows nothing of brakes. Members of
  * a batch are marched side by side in blocks of LANES, or of FEW (the corners
- * of a car), or one by one; all give the same bits (no contraction, no
+ * of a car), or alone; all give the same bits (no contraction, no
  * reassociation).
  */
 #include "march.h"
@@ -527,16 +527,18 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
         }
 }
 
-INLINE void gather(const int W, double *to, const double *from, size_t n)
+INLINE void gather(const int W, const size_t *member, double *to,
+                   const double *from, size_t n)
 {
     for (size_t i = 0; i < n; i++)
-        for (int l = 0; l < W; l++) to[i * W + l] = from[l * n + i];
+        for (int l = 0; l < W; l++) to[i * W + l] = from[member[l] * n + i];
 }
 
-INLINE void scatter(const int W, double *to, const double *from, size_t n)
+INLINE void scatter(const int W, const size_t *member, double *to,
+                    const double *from, size_t n)
 {
     for (size_t i = 0; i < n; i++)
-        for (int l = 0; l < W; l++) to[l * n + i] = from[i * W + l];
+        for (int l = 0; l < W; l++) to[member[l] * n + i] = from[i * W + l];
 }
 
 INLINE void march_block(const int W, const March *m, Work *w, size_t first)
@@ -546,22 +548,27 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
     const size_t states = s->count[COUNT_NODES] + s->count[COUNT_MEMORIES];
     const size_t nl = s->count[COUNT_LINKS], width = states + ns;
     const size_t floats = s->count[COUNT_FLOATS];
-    gather(W, w->floats, m->floats + first * floats, floats);
-    gather(W, w->state, m->state + first * states, states);
-    gather(W, w->ledger, m->ledger + first * (nl + ns), nl + ns);
+    /* the last member fills the lanes that are left over */
+    size_t member[LANES];
+    for (int l = 0; l < W; l++)
+        member[l] = first + l < (size_t)m->members ? first + l
+                                                   : (size_t)m->members - 1;
+    gather(W, member, w->floats, m->floats, floats);
+    gather(W, member, w->state, m->state, states);
+    gather(W, member, w->ledger, m->ledger, nl + ns);
     double *out = m->outputs;
     int due = m->phase;
     for (ptrdiff_t t = 0; t < m->steps; t++) {
         const double *row = m->inputs + (size_t)t * m->sets * ni;
         for (int l = 0; l < W; l++) {
-            const double *channels = row + (size_t)m->set_of[first + l] * ni;
+            const double *channels = row + (size_t)m->set_of[member[l]] * ni;
             for (size_t c = 0; c < ni; c++)
                 w->slots[(states + c) * W + l] = channels[c];
         }
         step(W, s, w, m->dt);
         if (--due == 0) {
             for (int l = 0; l < W; l++) {
-                double *to = out + (first + l) * width;
+                double *to = out + member[l] * width;
                 for (size_t i = 0; i < states; i++)
                     to[i] = w->state[i * W + l];
                 for (size_t i = 0; i < ns; i++)
@@ -571,8 +578,8 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
             due = m->every;
         }
     }
-    scatter(W, m->state + first * states, w->state, states);
-    scatter(W, m->ledger + first * (nl + ns), w->ledger, nl + ns);
+    scatter(W, member, m->state, w->state, states);
+    scatter(W, member, m->ledger, w->ledger, nl + ns);
 }
 
 static void march_one(const March *m, Work *w, size_t first)
@@ -596,16 +603,16 @@ int bstm_march(const March *m)
     if (memory == NULL) return -1;
     Work w;
     size_t first = 0;
-    if (m->members >= LANES) {
-        work_layout(&w, m->s, memory, LANES);
-        for (; first + LANES <= (size_t)m->members; first += LANES)
-            march_lanes(m, &w, first);
+    while (first < (size_t)m->members) {
+        const size_t left = (size_t)m->members - first;
+        /* a single step is mostly spent on filling the lanes */
+        const int W = left > FEW && (m->steps > 1 || left >= LANES) ? LANES
+            : left >= FEW || (left > 1 && m->steps > 1) ? FEW : 1;
+        work_layout(&w, m->s, memory, W);
+        (W == LANES ? march_lanes : W == FEW ? march_few : march_one)(
+            m, &w, first);
+        first += W;
     }
-    work_layout(&w, m->s, memory, FEW);
-    for (; first + FEW <= (size_t)m->members; first += FEW)
-        march_few(m, &w, first);
-    work_layout(&w, m->s, memory, 1);
-    for (; first < (size_t)m->members; first++) march_one(m, &w, first);
     free(memory);
     return 0;
 }

@@ -15,10 +15,9 @@ from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.estimator.coupling import COUPLING_US
+from bstm_daemon.estimator.coupling import COUPLING_US, Coupling
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
-from bstm_daemon.model.thermal.kernel import Batch
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
@@ -161,7 +160,7 @@ def test_a_trial_of_a_law_takes_its_temperature_less_often(
     plain, _ = inputs_of(config, short.present, short.thin)
     seldom, _ = inputs_of(on, short.present, short.thin)
     monkeypatch.setattr(module, "THIN_COUPLING_US", COUPLING_US)
-    monkeypatch.setattr(module._Coarse, "march", Batch.march)
+    monkeypatch.setattr(module._Coarse, "_march", Coupling._march)
 
     often, _ = inputs_of(on, short.present, short.thin)
 

@@ -157,6 +157,23 @@ def test_a_forced_node_follows_and_is_free_in_gaps(
     assert np.all(np.diff(found["fluid"][100:, 0]) < 0.0)
 
 
+def test_variants_have_their_own_begin_and_series(
+    drive: Drive, config: Config
+) -> None:
+    """Side by side they are what each is alone, bit for bit."""
+    program = compile_corner(config, config.corner[0])
+    begin = initial_temperatures(program, drive, "FL")
+    begins = [begin, {node: k + 30.0 for node, k in begin.items()}]
+    disc = np.linspace([300.0, 350.0], [500.0, 400.0], len(drive))
+
+    both = march([program] * 2, drive, "FL", begins, {"disc": disc})
+
+    for i, own in enumerate(begins):
+        alone = march([program], drive, "FL", own, {"disc": disc[:, i]})
+        assert np.array_equal(both["fluid"][:, i], alone["fluid"][:, 0])
+    assert np.ptp(both["fluid"][-1]) > 1.0
+
+
 def test_a_gap_of_a_thermocouple_is_not_bridged() -> None:
     couple = Thermocouple(
         np.array([0.0, 1.0, 60.0, 61.0]), np.array([300.0, 301, 360, 361])

@@ -7,6 +7,7 @@ from itertools import pairwise
 from math import exp
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from bstm_daemon.channels import CHANNELS
@@ -351,6 +352,8 @@ def test_corrections_of_a_role_follow_each_other() -> None:
     found = corrected(rules, array("i", [speed, torque]), values)
     assert list(found) == [70.5, 3.0]
     assert list(values) == [3.0, 3.0]
+    whole = corrected(rules, np.array([speed, torque]), np.array(values))
+    assert whole.tolist() == [70.5, 3.0]
 
 
 def test_offset_is_taken_off_the_thermocouple(

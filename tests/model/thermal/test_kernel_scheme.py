@@ -205,19 +205,20 @@ def test_both_forms_agree_with_everything_on(
     assert list(two.ledger) == pytest.approx(list(one.ledger), rel=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 7, 23])
 def test_lanes_equal_single_members(
-    compiled: Kernel, make_spec: MakeSpec
+    compiled: Kernel, make_spec: MakeSpec, count: int
 ) -> None:
-    """Blocks of eight, eight and four, then three by one, bit for bit."""
+    """Blocks of four and eight, the last one not full, bit for bit."""
     spec = rough_spec(make_spec)
     programs = [
         everything(
             spec, wet_disc=0.1 * (i + 1), friction_history=2.3 - 0.1 * i
         )
-        for i in range(23)
+        for i in range(count)
     ]
     rows, steps = drive(600), 600
-    together = Batch(programs, 283.15, [0] * 23, compiled, sets=1)
+    together = Batch(programs, 283.15, [0] * count, compiled, sets=1)
     out = together.march(rows, steps, 0.25, 7, 3)
     size = together.width + together.sources
     for i, program in enumerate(programs):
@@ -225,7 +226,7 @@ def test_lanes_equal_single_members(
         mine = alone.march(rows, steps, 0.25, 7, 3)
         theirs = array("d")
         for k in range(len(mine) // size):
-            first = (k * 23 + i) * size
+            first = (k * count + i) * size
             theirs.extend(out[first : first + size])
         assert mine.tobytes() == theirs.tobytes()
         width = together.ledger_width
