@@ -58,15 +58,12 @@ SPREAD: Final = 0.10
 CORNER: Final = "FL"
 
 DRIVEN_BY: Final = (
-    *("simulation/**/*.py", "simulation/**/*.toml", "heat/**/*.py"),
-    *("analysis/matching/drives.py", "*.c"),
+    *("simulation/**/*.py", "simulation/**/*.toml", "model/**/*.py"),
+    *("estimator/*.py", "analysis/matching/drives.py", "native/**/*.[ch]"),
 )
 """Sources that a drive depends on."""
 
-JUDGED_BY: Final = (
-    *DRIVEN_BY,
-    *("matching/*.py", "effects/**/*.py", "thermal/*.py"),
-)
+JUDGED_BY: Final = (*DRIVEN_BY, "analysis/**/*.py")
 """Sources that a match and its errors depend on."""
 
 KNOWN_TO_THE_OWNER: Final = frozenset(

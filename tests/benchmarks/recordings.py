@@ -69,7 +69,10 @@ def source_key(*patterns: str) -> str:
     """Return a hash over the text of the package's files of *patterns*."""
     digest = hashlib.sha256()
     for pattern in patterns:
-        for path in sorted((ROOT / "bstm_daemon").glob(pattern)):
+        paths = sorted((ROOT / "bstm_daemon").glob(pattern))
+        if not paths:
+            raise FileNotFoundError(pattern)
+        for path in paths:
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
