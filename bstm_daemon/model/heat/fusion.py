@@ -227,16 +227,21 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
     whole = m.sum_time > dt_s - 1e-9
     yaw = abs(run.vehicle("yaw_rate", 0.0)) * run.speed
     side = abs(run.vehicle("acceleration_lateral", 0.0))
-    brake_n = highest = 0.0
+    brake_n = light_n = highest = 0.0
     for c in range(run.corners):
+        pressure = run.m.pressure_sum[c] / dt_s
+        pushing = max(pressure - run.plan.pushout_pa[c], 0.0)
+        light_n += run.plan.torque_per_pa[c] * pushing / run.plan.radius_m
         brake_n += m.brake_sum[c] / dt_s
-        highest = max(highest, run.m.pressure_sum[c] / dt_s)
+        highest = max(highest, pressure)
     braked = [time_s > 0.0 for time_s in run.m.on_time[: run.corners]]
     wheel_pressures = all(run.valid(role) for role in run.pressure_role)
-    # a foot that only rests on the pedal
+    # a foot that only rests on the pedal brakes by a pressure that is too low
+    # to count as heat
     travel_m = run.reading(_TRAVEL)
+    brakes = now.brake_switch > 0.0 or any(braked)
     rests = travel_m <= PEDAL_REST and brake_n < LEAST_BRAKE_N
-    pressed = not rests and (now.brake_switch > 0.0 or any(braked))
+    pressed = brakes and not rests
     partial = pressed and not all(braked) and any(braked)
     return Step(
         dt_s=dt_s,
@@ -246,6 +251,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         drive=m.sum_drive / dt_s if whole else nan,
         drag=m.sum_drag / dt_s,
         brake_n=brake_n,
+        light_n=light_n if brakes and rests else 0.0,
         pressure_pa=highest,
         brake_switch=now.brake_switch,
         lateral=max(yaw, side),

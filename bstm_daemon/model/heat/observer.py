@@ -330,12 +330,8 @@ class Observer:
         if abs(innovation) > 3.0 * GAIN_NOISE:
             return
         h = [0.0, 0.0, 0.0, rate, *NO_FRICTION]
-        self.m.known.update(
-            0,
-            h,
-            innovation,
-            CORRELATED_GAIN_WINDOWS * GAIN_NOISE * GAIN_NOISE,
-        )
+        noise = CORRELATED_GAIN_WINDOWS * GAIN_NOISE * GAIN_NOISE
+        m.known.update(0, h, innovation, noise)
 
     def _filter_motion(self, s: Step) -> None:
         m = self.m
@@ -374,7 +370,7 @@ class Observer:
         m.window_accel += s.accel * s.dt_s
         m.window_drive += s.drive * s.dt_s
         m.window_drag += s.drag * s.dt_s
-        m.window_brake += s.brake_n * s.dt_s
+        m.window_brake += (s.brake_n if s.pressed else s.light_n) * s.dt_s
         m.window_pressure += s.pressure_pa * s.dt_s
         m.window_speed += s.speed * s.dt_s
         return m.window_s > WINDOW_S - 1e-6
@@ -386,8 +382,10 @@ class Observer:
         accel, drive = m.window_accel / t, m.window_drive / t
         drag = m.window_drag / t
         if m.window_kind == WINDOW_DRIVEN:
+            speed, pressure = m.window_speed / t, m.window_pressure / t
+            level, _ = m.known.friction(speed, pressure)
             light = m.window_brake / t / self.mass_kg * m.known.x[MASS]
-            self._learn_motion(accel + light, drive, drag, rate)
+            self._learn_motion(accel + light * exp(level), drive, drag, rate)
         else:
             self._learn_friction(accel, drive, drag, rate, s)
         m.window_kind = WINDOW_NONE

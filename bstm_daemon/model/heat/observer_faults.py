@@ -25,9 +25,10 @@ class Step:
 
     ``accel`` is the accelerometer; ``drive`` the driving force and ``drag``
     that of air and bearings, both over the configured mass [m/s2];
-    ``brake_n`` Feed-Forward's force. ``steady``: no intervention, no slip, no
-    suspect input. ``wrong_scale``: the checks found speed and accelerometer
-    to differ by a factor.
+    ``brake_n`` Feed-Forward's force, ``light_n`` that of a foot that rests on
+    the pedal. ``steady``: no intervention, no slip, no suspect input.
+    ``wrong_scale``: the checks found speed and accelerometer to differ by a
+    factor.
     """
 
     dt_s: float
@@ -37,6 +38,7 @@ class Step:
     drive: float
     drag: float
     brake_n: float
+    light_n: float
     pressure_pa: float
     brake_switch: float
     lateral: float

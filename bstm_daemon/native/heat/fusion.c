@@ -88,8 +88,13 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
     s->brake_switch = now->brake_switch;
     s->pressure_known = s->wheel_pressures = 1;
     int some = 0, none = 0;
+    double light_n = 0.0;
     for (int c = 0; c < p->corners; c++) {
         const double pressure = p->m->pressure_sum[c] / dt_s;
+        const double pushing = pressure - p->plan->pushout_pa[c];
+        if (pushing > 0.0)
+            light_n += p->plan->torque_per_pa[c] * pushing
+                / p->plan->radius_m;
         s->brake_n += m->brake_sum[c] / dt_s;
         if (pressure > s->pressure_pa) s->pressure_pa = pressure;
         if (p->m->on_time[c] > 0.0) some = 1;
@@ -97,10 +102,13 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
         if (!inputs_corner_known(p, c)) s->pressure_known = 0;
         if (!inputs_valid(p, p->pressure_role[c])) s->wheel_pressures = 0;
     }
-    /* a foot that only rests on the pedal */
+    /* a foot that only rests on the pedal brakes by a pressure that is too
+       low to count as heat */
     const double travel_m = inputs_reading(p, ROLE_BRAKE_PEDAL_TRAVEL);
+    const int brakes = now->brake_switch > 0.0 || some;
     const int rests = travel_m <= PEDAL_REST && s->brake_n < LEAST_BRAKE_N;
-    s->pressed = !rests && (now->brake_switch > 0.0 || some);
+    s->pressed = brakes && !rests;
+    s->light_n = brakes && rests ? light_n : 0.0;
     s->torque_known = inputs_valid(p, ROLE_POWERTRAIN_TORQUE);
     s->on_stand = !s->pressed && p->apart;
     s->wrong_scale = motion_checks_wrong_scale(p->checks.m);

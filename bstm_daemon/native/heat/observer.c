@@ -255,7 +255,7 @@ static int accumulate_window(ObserverMemory *m, const Step *s, double kind,
     m->window_accel += s->accel * s->dt_s;
     m->window_drive += s->drive * s->dt_s;
     m->window_drag += s->drag * s->dt_s;
-    m->window_brake += s->brake_n * s->dt_s;
+    m->window_brake += (s->pressed ? s->brake_n : s->light_n) * s->dt_s;
     m->window_pressure += s->pressure_pa * s->dt_s;
     m->window_speed += s->speed * s->dt_s;
     return m->window_s > WINDOW_S - 1e-6;
@@ -268,11 +268,16 @@ static void learn_window(Observer *o, const Step *s)
     const double rate = (s->end_speed - m->window_first_speed) / t;
     const double accel = m->window_accel / t, drive = m->window_drive / t;
     const double drag = m->window_drag / t;
-    if (m->window_kind == WINDOW_DRIVEN)
-        learn_motion(o, accel + m->window_brake / t / o->mass_kg
-                         * m->known.x[MASS], drive, drag, rate);
-    else
+    if (m->window_kind == WINDOW_DRIVEN) {
+        double variance;
+        const double scale = exp(learned_friction(
+            &m->known, m->window_speed / t, m->window_pressure / t, &variance));
+        const double light =
+            m->window_brake / t / o->mass_kg * m->known.x[MASS] * scale;
+        learn_motion(o, accel + light, drive, drag, rate);
+    } else {
         learn_friction(o, accel, drive, drag, rate, s);
+    }
     m->window_kind = WINDOW_NONE;
 }
 
