@@ -100,3 +100,16 @@ GROUND_LAG_S: Final[dict[str, float]] = {
 
 GROUND_SPEED_ROLES: Final = tuple(ROLE_INDEX[name] for name in GROUND_LAG_S)
 """Role numbers of the speeds over ground."""
+
+LONGITUDINAL: Final = "acceleration_longitudinal"
+WHEELS: Final = tuple(f"wheel_speed_{name.lower()}" for name in CORNERS)
+PRESSURES: Final = (
+    *("primary_pressure", "secondary_pressure"),
+    *(f"wheel_pressure_{name.lower()}" for name in CORNERS),
+)
+
+
+def pressure_roles(corner: str, circuit: str) -> list[str]:
+    """Return the pressures that *corner* of *circuit* takes, its own first."""
+    own = f"wheel_pressure_{corner.lower()}"
+    return [*dict.fromkeys((own, f"{circuit}_pressure", "primary_pressure"))]

@@ -5,7 +5,7 @@ from collections.abc import Set as AbstractSet
 from typing import Final, Literal, Protocol
 
 from bstm_daemon.config import section
-from bstm_daemon.roles import CORNERS
+from bstm_daemon.roles import CORNERS, LONGITUDINAL, WHEELS, pressure_roles
 
 AUTOMATIC: Final = ("fused", "ff", "fb")
 """What "auto" tries, in this order: pressure and motion check each other; the
@@ -117,18 +117,18 @@ def _missing(
                 f"{_sections(temperatures)}"
             )
         return
-    speeds = ["vehicle_speed", *(f"wheel_speed_{c.lower()}" for c in CORNERS)]
+    speeds = ["vehicle_speed", *WHEELS]
     if roles.isdisjoint(speeds):
         yield f"needs a speed, configure one of {_sections(speeds)}"
     if mode in {"ff", "fused"}:
         for corner in corners:
-            pressures = _pressure_roles(corner)
+            pressures = pressure_roles(corner.name, corner.circuit)[::-1]
             if corner.type == "disc" and roles.isdisjoint(pressures):
                 yield (
                     f"needs a pressure for corner {corner.name}, configure "
                     f"one of {_sections(pressures)}"
                 )
-    if mode == "fused" and "acceleration_longitudinal" not in roles:
+    if mode == "fused" and LONGITUDINAL not in roles:
         yield (
             "needs the acceleration to learn from, configure "
             "[signals.acceleration_longitudinal]"
@@ -143,13 +143,6 @@ def _missing(
             "[signals.powertrain_torque] or declare "
             "assume_powertrain_torque_nm (0.0 = coasting while braking)"
         )
-
-
-def _pressure_roles(corner: WheelBrake) -> list[str]:
-    roles = ["primary_pressure", f"wheel_pressure_{corner.name.lower()}"]
-    if corner.circuit == "secondary":
-        roles.insert(1, "secondary_pressure")
-    return roles
 
 
 def _sections(roles: Iterable[str]) -> str:

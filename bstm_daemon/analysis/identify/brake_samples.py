@@ -18,6 +18,7 @@ from bstm_daemon.analysis.identify.driving import (
     flagged,
 )
 from bstm_daemon.analysis.quality.braking import (
+    behind_table,
     brake_force_n,
     released_reading,
 )
@@ -26,7 +27,7 @@ from bstm_daemon.analysis.quality.limits import GRID_S
 from bstm_daemon.analysis.statistics.series import Column, Indices, Mask, runs
 from bstm_daemon.config.sections import Config
 from bstm_daemon.model.heat.feed_forward import PressureTorque
-from bstm_daemon.roles import CORNERS
+from bstm_daemon.roles import CORNERS, pressure_roles
 from bstm_daemon.units import KELVIN_OFFSET
 
 JOINED_S: Final = 2.0
@@ -352,14 +353,12 @@ def _corner_pressures(driving: Driving, config: Config) -> dict[str, Column]:
     known = driving.pressures
     found: dict[str, Column] = {}
     for corner in config.corner:
-        own = f"wheel_pressure_{corner.name.lower()}"
-        sources = (own, f"{corner.circuit}_pressure", "primary_pressure")
-        role = next((one for one in sources if one in known), None)
-        if role is None:
-            continue
-        pressure = known[role]
-        table = config.heat.front_pressure_pa, config.heat.rear_pressure_pa
-        if role != own and corner.name[0] == "R" and table[0]:
-            pressure = np.interp(pressure, *table)
-        found[corner.name] = pressure
+        own, *shared = pressure_roles(corner.name, corner.circuit)
+        role = next((one for one in shared if one in known), None)
+        if own in known:
+            found[corner.name] = known[own]
+        elif role is not None:
+            found[corner.name] = behind_table(
+                known[role], corner.name, config.heat
+            )
     return found

@@ -11,16 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.quality.accelerations import (
-    LONGITUDINAL,
-    compare_accelerations,
-)
+from bstm_daemon.analysis.quality.accelerations import compare_accelerations
 from bstm_daemon.analysis.quality.braking import released_reading, resistance_n
-from bstm_daemon.analysis.quality.channels import (
-    PRESSURES,
-    Channels,
-    window_mean,
-)
+from bstm_daemon.analysis.quality.channels import Channels, window_mean
 from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.frozen import find_frozen_speeds
 from bstm_daemon.analysis.quality.limits import GRID_S, MOVING_MS
@@ -31,6 +24,7 @@ from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.heat.feed_back import Vehicle
+from bstm_daemon.roles import LONGITUDINAL, PRESSURES
 
 CONTROL: Final = ("abs_active", "esc_active", "tc_active")
 """Flags that indicate wheel slip."""

@@ -16,9 +16,9 @@ from bstm_daemon.analysis.quality.naming import (
     write_faults,
 )
 from bstm_daemon.analysis.statistics.series import Mask
+from bstm_daemon.roles import LONGITUDINAL
 from bstm_daemon.units import GRAVITY_MS2
 
-LONGITUDINAL: Final = "acceleration_longitudinal"
 _AROUND: Final = 4 * HALF
 _DRIFT_WINDOW_S: Final = 30.0
 _TOLERANCE: Final = Tolerance(

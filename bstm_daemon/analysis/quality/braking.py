@@ -6,11 +6,7 @@ from typing import Final
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
-from bstm_daemon.analysis.quality.channels import (
-    PRESSURES,
-    Channels,
-    window_mean,
-)
+from bstm_daemon.analysis.quality.channels import Channels, window_mean
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
 from bstm_daemon.analysis.quality.finding import Checks, Fault
 from bstm_daemon.analysis.quality.naming import (
@@ -21,8 +17,10 @@ from bstm_daemon.analysis.quality.naming import (
     write_faults,
 )
 from bstm_daemon.analysis.statistics.series import Column, Mask
+from bstm_daemon.config.heat import HeatConfig
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.model.heat.feed_forward import PressureTorque
+from bstm_daemon.roles import LONGITUDINAL, PRESSURES
 
 _REAR: Final = ("secondary_pressure", "wheel_pressure_rl", "wheel_pressure_rr")
 
@@ -207,7 +205,6 @@ def _resting(channels: Checks) -> None:
             )
 
 
-_ACCELEROMETER: Final = "acceleration_longitudinal"
 _SWITCH: Final = "brake_switch"
 _SWITCH_S: Final = 1.0
 _FITS: Final = 0.8
@@ -283,14 +280,16 @@ def feed_forward_n(channels: Channels, role: str) -> Column:
     total = np.zeros(len(pressure))
     for corner in config.corner:
         torque = PressureTorque.of_corner(corner)
-        here = pressure
-        if corner.name[0] == "R" and heat.front_pressure_pa:
-            here = np.interp(
-                pressure, heat.front_pressure_pa, heat.rear_pressure_pa
-            )
+        here = behind_table(pressure, corner.name, heat)
         pushing = np.maximum(here - torque.pushout_pressure_pa, 0.0)
         total += torque.torque_per_pressure_nm_pa * pushing
     return total / config.vehicle.wheel_radius_m
+
+
+def behind_table(pressure: Column, corner: str, heat: HeatConfig) -> Column:
+    """Return a circuit's *pressure* (n,) as *corner* gets it by the table."""
+    x, y = heat.front_pressure_pa, heat.rear_pressure_pa
+    return np.interp(pressure, x, y) if corner[0] == "R" and x else pressure
 
 
 def resistance_n(car: Vehicle, speed_ms: Column) -> Column:
@@ -345,7 +344,7 @@ def feed_back_n(channels: Channels) -> Column:
 
 def _has_slope(channels: Channels) -> bool:
     return (
-        bool(channels.alive([_ACCELEROMETER]))
+        bool(channels.alive([LONGITUDINAL]))
         and channels.config.heat.slope == "accelerometer"
     )
 

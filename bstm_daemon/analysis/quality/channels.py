@@ -14,7 +14,7 @@ from bstm_daemon.analysis.quality.limits import GRID_S, LONGEST_LAG_S, WINDOW_S
 from bstm_daemon.analysis.quality.recording import Recording, Series
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.config.sections import Config
-from bstm_daemon.roles import CORNERS, ROLE_INDEX
+from bstm_daemon.roles import LONGITUDINAL, ROLE_INDEX
 from bstm_daemon.units import UNITS
 
 HALF: Final = round(WINDOW_S / GRID_S / 2)
@@ -124,14 +124,6 @@ def shifted(value: Column, steps: int) -> Column:
     return moved
 
 
-WHEELS = tuple(f"wheel_speed_{corner.lower()}" for corner in CORNERS)
-PRESSURES = (
-    "primary_pressure",
-    "secondary_pressure",
-    *(f"wheel_pressure_{corner.lower()}" for corner in CORNERS),
-)
-
-
 class Channels:
     """Values of roles at ``time_s``, (n,) each, NaN where absent.
 
@@ -198,7 +190,7 @@ class Channels:
 
     def acceleration(self) -> Column:
         """Return the accelerometer over the same window [m/s2]."""
-        return window_mean(self.value("acceleration_longitudinal"))
+        return window_mean(self.value(LONGITUDINAL))
 
     def unit(self, role: str) -> tuple[str, float]:
         """Return the configured unit of *role* and its factor to SI."""

@@ -7,8 +7,6 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import (
-    PRESSURES,
-    WHEELS,
     Channels,
     difference_quotient,
     median_of,
@@ -18,9 +16,9 @@ from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.recording import Run, constant_runs
 from bstm_daemon.analysis.quality.speeds import SPEEDS
 from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.roles import LONGITUDINAL, PRESSURES, WHEELS
 
 _END_S: Final = 1.0
-_ACCELEROMETER: Final = "acceleration_longitudinal"
 _AXLES: Final = {"front": WHEELS[:2], "rear": WHEELS[2:]}
 
 
@@ -88,7 +86,7 @@ def _without_standing_axle(channels: Checks, roles: list[str]) -> list[str]:
 
 def _car_stood(channels: Channels, turning: Column) -> bool:
     """Whether the accelerometer shows no motion while wheels turn."""
-    if not channels.alive(["acceleration_longitudinal"]):
+    if not channels.alive([LONGITUDINAL]):
         return False
     return feels_nothing(difference_quotient(turning), channels.acceleration())
 
@@ -193,13 +191,13 @@ def _show(channels: Checks, role: str, verdict: str) -> None:
     """Write a comparison with the first channel of its kind that moves."""
     kind = PRESSURES if role in PRESSURES else SPEEDS
     others = [other for other in channels.alive(kind) if other != role]
-    if role == _ACCELEROMETER or not others:
+    if role == LONGITUDINAL or not others:
         reference, name = channels.speed_rate(), "dv/dt"
     else:
         name = max(others, key=lambda other: spread(channels.raw(other)))
         reference = channels.raw(name)
     unit = "bar" if role in PRESSURES else "km/h"
-    if role == _ACCELEROMETER:
+    if role == LONGITUDINAL:
         unit = "m/s2"
     channels.compare(
         f"{role} against {name}",

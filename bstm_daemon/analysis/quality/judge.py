@@ -4,17 +4,12 @@ What they find decides which heat modes the log allows.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.quality import braking
-from bstm_daemon.analysis.quality.accelerations import (
-    LONGITUDINAL,
-    compare_accelerations,
-)
+from bstm_daemon.analysis.quality.accelerations import compare_accelerations
 from bstm_daemon.analysis.quality.bends import compare_axles, compare_sides
-from bstm_daemon.analysis.quality.channels import PRESSURES, WHEELS
 from bstm_daemon.analysis.quality.collisions import note_collisions
 from bstm_daemon.analysis.quality.finding import (
     Checks,
@@ -36,10 +31,13 @@ from bstm_daemon.bus.opening import id_text
 from bstm_daemon.bus.signals.extraction import FrameKey, MessagePlan
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.sections import Config, CornerConfig
-from bstm_daemon.roles import ROLE_INDEX
-
-_ACCELEROMETER: Final = "acceleration_longitudinal"
-
+from bstm_daemon.roles import (
+    LONGITUDINAL,
+    PRESSURES,
+    ROLE_INDEX,
+    WHEELS,
+    pressure_roles,
+)
 
 Inputs = tuple[list[str], list[str], list[str]]
 """The roles that a mode reads, what it misses, and remarks."""
@@ -117,8 +115,8 @@ class _Judge:
                 "powertrain torque assumed as "
                 f"{heat.assume_powertrain_torque_nm:g} Nm"
             )
-        if heat.slope == "accelerometer" and _ACCELEROMETER in self._found:
-            read.append(_ACCELEROMETER)
+        if heat.slope == "accelerometer" and LONGITUDINAL in self._found:
+            read.append(LONGITUDINAL)
         else:
             remarks.append("the road is assumed flat")
         return read, missing, remarks
@@ -161,10 +159,7 @@ class _Judge:
         ]
 
     def _pressure(self, corner: CornerConfig) -> str | None:
-        choice = [f"wheel_pressure_{corner.name.lower()}"]
-        if corner.circuit == "secondary":
-            choice.append("secondary_pressure")
-        choice.append("primary_pressure")
+        choice = pressure_roles(corner.name, corner.circuit)
         return next((role for role in choice if role in self._found), None)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.accelerations import fit_acceleration
-from bstm_daemon.analysis.quality.channels import WHEELS, Channels
+from bstm_daemon.analysis.quality.channels import Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels, spread
 from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.naming import (
@@ -17,7 +17,7 @@ from bstm_daemon.analysis.quality.naming import (
     write_faults,
 )
 from bstm_daemon.analysis.statistics.series import Column
-from bstm_daemon.roles import GROUND_LAG_S
+from bstm_daemon.roles import GROUND_LAG_S, WHEELS
 
 SPEEDS: Final = ("vehicle_speed", *WHEELS, *GROUND_LAG_S)
 _PAIRS: Final = (

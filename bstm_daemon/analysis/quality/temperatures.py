@@ -7,11 +7,12 @@ import numpy as np
 
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.braking import feed_forward_n
-from bstm_daemon.analysis.quality.channels import PRESSURES, Channels
+from bstm_daemon.analysis.quality.channels import Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
 from bstm_daemon.analysis.quality.finding import Checks, Comparison, Fault
 from bstm_daemon.analysis.quality.recording import constant_runs
 from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.roles import PRESSURES
 from bstm_daemon.units import KELVIN_OFFSET
 
 _START_S: Final = 10.0
