@@ -6,6 +6,7 @@ guesses are replaced; a value that somebody measured stays.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
@@ -77,7 +78,10 @@ def _coasting(drivings: Sequence[Driving], config: Config) -> list[Change]:
 
 
 def _stops(drivings: Sequence[Driving], config: Config) -> list[Change]:
-    return brake_changes(identify_brakes(drivings, config), config)
+    found = identify_brakes(drivings, config)
+    # a weak law would hide from a search that the real one is missing
+    bare = replace(found, lean_speed=None, lean_pressure=None)
+    return brake_changes(bare, config)
 
 
 def with_changes(config: Config, changes: Sequence[Change]) -> Config:

@@ -12,6 +12,7 @@ from bstm_daemon.analysis.identify.brakes import Brakes
 from bstm_daemon.analysis.identify.coastdown import CoastDown
 from bstm_daemon.analysis.identify.cooling import AxleCooling
 from bstm_daemon.analysis.identify.cooling_while_braking import BrakedAxle
+from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.config.csv_tables import csv_names, put_csv_tables
 from bstm_daemon.config.estimates import (
     ChangeConfig,
@@ -21,6 +22,9 @@ from bstm_daemon.config.estimates import (
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import FileAccessError, require_packages
 from bstm_daemon.files import replacing
+from bstm_daemon.model.effects.catalogue import effect_class, effects_of
+from bstm_daemon.model.effects.entries.friction_pressure import REFERENCE_PA
+from bstm_daemon.model.effects.entries.friction_speed import REFERENCE_MS
 
 KNOWN: Final = 0.2
 """Largest relative standard error of a factor that is handed on."""
@@ -93,9 +97,24 @@ def coast_down_changes(result: CoastDown) -> list[Change]:
 def brake_changes(result: Brakes, config: Config) -> list[Change]:
     """Return what the stops settle, for every corner it is true of.
 
-    A push-out below 0 is the sensor's zero and can not be configured.
+    A push-out below 0 is the sensor's zero and can not be configured. The
+    friction is that at the means of the samples: what is written is divided
+    by what the friction law makes of it there, the identified or the
+    configured one.
     """
     changes = []
+    means = result.samples.speed_mean_ms, result.samples.pressure_mean_pa
+    leans = result.lean_speed, result.lean_pressure
+    law = {
+        name: _strength(name, one)
+        for name, one in zip(REFERENCES, leans, strict=True)
+        if one is not None and result.scale.identified
+    }
+    effects = [one for one in effects_of(config) if one.name not in law]
+    effects += [
+        EffectConfig(name=name, parameters={"strength": strength})
+        for name, strength in law.items()
+    ]
     pushout = max(round(result.pushout_pa.value), 0)
     for corner in config.corner:
         rear = corner.name[0] == "R"
@@ -106,6 +125,8 @@ def brake_changes(result: Brakes, config: Config) -> list[Change]:
             key = "drum_brake_factor"
         if scale.identified:
             value = getattr(corner, key) * scale.value
+            if corner.type != "drum":
+                value /= _at_means(effects, corner.name, means)
             changes.append(Change("corner", key, value, corner.name))
         if result.pushout_pa.identified:
             key = "pushout_pressure_pa"
@@ -118,7 +139,37 @@ def brake_changes(result: Brakes, config: Config) -> list[Change]:
             Change("heat", f"{circuit}_lag_s", result.lag_s.value)
             for circuit in ("primary", "secondary")
         ]
-    return changes
+    return changes + [
+        Change("effect", "strength", strength, "all", "", name)
+        for name, strength in law.items()
+    ]
+
+
+REFERENCES: Final = {
+    "friction_speed": REFERENCE_MS,
+    "friction_pressure": REFERENCE_PA,
+}
+"""Effects of the friction law, and where each is 1."""
+
+
+def _strength(name: str, lean: Value) -> float:
+    """Return the strength at which the effect *name* has that exponent."""
+    bounds = effect_class(name).parameters()[0]
+    wanted = -lean.value / effect_class(name)({}).scaled("exponent")
+    return min(max(wanted, bounds.lower), bounds.upper)
+
+
+def _at_means(
+    effects: Sequence[EffectConfig], corner: str, means: tuple[float, float]
+) -> float:
+    """Return friction over its nominal value at mean speed and pressure."""
+    found = 1.0
+    for (name, reference), mean in zip(REFERENCES.items(), means, strict=True):
+        for one in effects:
+            if one.name == name and one.corner in {"all", corner}:
+                effect = effect_class(name)(one.parameters)
+                found *= (mean / reference) ** -effect.scaled("exponent")
+    return found
 
 
 def cooling_changes(

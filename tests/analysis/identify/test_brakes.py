@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,11 @@ import pytest
 
 from bstm_daemon.analysis.identify.brakes import identify_brakes
 from bstm_daemon.analysis.identify.driving import driving_of
+from bstm_daemon.analysis.identify.writing import brake_changes, write_changed
+from bstm_daemon.config.reading import load_config
 from bstm_daemon.errors import LogError
+from bstm_daemon.estimator.corner_model import corner_model
+from bstm_daemon.model.heat.friction_law import friction_factor
 from bstm_daemon.simulation import NOMINAL, load_vehicle
 
 if TYPE_CHECKING:
@@ -28,6 +33,7 @@ if TYPE_CHECKING:
     Reader = Callable[..., Driving]
     Example = tuple[Config, SignalMap]
 
+EXAMPLE = Path(__file__).parents[3] / "config" / "example_vehicle.toml"
 SERIES = ("idiada-step", "idiada-ramp", "idiada-pulse")
 
 
@@ -92,6 +98,59 @@ def test_push_out_beside_friction_that_leans(
     assert found.lean_pressure is not None
     assert found.lean_speed.value < -0.05
     assert found.lean_pressure.value < -0.03
+
+
+def test_friction_that_leans_is_written_as_one_law(
+    identified: Callable[..., Brakes], example: Example, tmp_path: Path
+) -> None:
+    """Coefficient and exponents of the file give the friction of the stops.
+
+    In any structure, of which ``extended`` has a law of its own.
+    """
+    found = identified(preset="road", pushout_pressure=1.0)
+    speed, pressure = found.lean_speed, found.lean_pressure
+    assert speed is not None
+    assert pressure is not None
+    new = tmp_path / "new.toml"
+    changes = brake_changes(found, example[0])
+    write_changed(EXAMPLE, new, changes, "bstm identify brakes")
+
+    config = load_config(new)
+
+    v, p = found.samples.speed_ms, found.samples.pressure_pa
+    power = v**speed.value * p**pressure.value
+    means = found.samples.speed_mean_ms, found.samples.pressure_mean_pa
+    power /= means[0] ** speed.value * means[1] ** pressure.value
+    law = corner_model(config, config.corner[0]).friction.numbers()
+    after = config.corner[0].friction_coefficient
+    before = example[0].corner[0].friction_coefficient
+    written = [
+        after / before * friction_factor(law, 0.0, *one)
+        for one in zip(p.tolist(), v.tolist(), strict=True)
+    ]
+    assert written == pytest.approx(found.scale.value * power, rel=0.005)
+    assert np.ptp(power) > 0.1
+
+    assert config.model_dump(include={"effect"})["effect"] == [
+        {
+            "name": name,
+            "corner": "all",
+            "parameters": {"strength": pytest.approx(-lean / typical, 1e-4)},
+            "provenance": {},
+        }
+        for name, lean, typical in (
+            ("friction_speed", speed.value, 0.1),
+            ("friction_pressure", pressure.value, 0.05),
+        )
+    ]
+    alone = replace(found, lean_speed=None, lean_pressure=None)
+    extended = example[0].model_copy(update={"effect": config.effect})
+    (kept,) = (
+        one.value
+        for one in brake_changes(alone, extended)
+        if (one.key, one.corner) == ("friction_coefficient", "FL")
+    )
+    assert kept == pytest.approx(after, rel=1e-4)
 
 
 def test_hydraulic_lag(identified: Callable[..., Brakes]) -> None:
