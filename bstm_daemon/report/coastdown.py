@@ -4,10 +4,11 @@ from typing import Any, Final
 
 from bstm_daemon.analysis.identify.coastdown import CoastDown
 from bstm_daemon.analysis.identify.coasting import Run
+from bstm_daemon.analysis.identify.value import Value
 from bstm_daemon.report.json_file import own_fields, picked
 from bstm_daemon.report.plots import BLUE, GREY, ORANGE, Plot, curve, plot
 from bstm_daemon.report.shell import Page, Section, Table
-from bstm_daemon.report.text import Columns, columns, number, wrapped
+from bstm_daemon.report.text import Columns, number, wrapped
 from bstm_daemon.report.timescale import clock
 
 UNITS: Final = {
@@ -20,23 +21,17 @@ WORDS: Final = {
     "friction_ns_m": "the friction that grows with speed",
     "rolling_resistance": "the rolling resistance",
 }
-VALUE_HEAD: Final = ("value", "found", "+-", "configured", "verdict")
 BALANCE: Final = ("from_ms", "to_ms", "kinetic_j", "climb_j", "drive_j")
 _DIRECTIONS: Final = {1: "up", -1: "down", 0: "-"}
 
 
-def value_rows(result: CoastDown) -> list[tuple[str, ...]]:
-    """Return name, value, error, configured and verdict of each value."""
-    return [
-        (
-            name,
-            f"{number(one.value)} {UNITS[name]}",
-            number(one.standard_error, 2),
-            number(one.configured),
-            "identified" if one.identified else one.caveat,
-        )
-        for name, one in result.values.items()
-    ]
+VALUES: Final[Columns[tuple[str, Value]]] = Columns(
+    ("value", lambda row: row[0]),
+    ("found", lambda row: f"{number(row[1].value)} {UNITS[row[0]]}"),
+    ("+-", lambda row: number(row[1].standard_error, 2)),
+    ("configured", lambda row: number(row[1].configured)),
+    ("verdict", lambda row: row[1].caveat or "identified"),
+)
 
 
 def _speeds(run: Run) -> str:
@@ -59,8 +54,8 @@ RUNS: Final[Columns[Run]] = Columns(
 
 def coast_down_text(result: CoastDown) -> str:
     """Return the result as text for the screen."""
-    lines = columns([VALUE_HEAD, *value_rows(result)])
-    lines += ["", *RUNS.lines(result.runs), ""]
+    lines = [*VALUES.lines(result.values.items()), ""]
+    lines += [*RUNS.lines(result.runs), ""]
     lines.append(
         f"{result.windows} windows, residual {result.residual_ms2:.4f} m/s2; "
         f"correlation drag/C_fric {number(result.correlation[0, 1], 2)}, "
@@ -130,7 +125,7 @@ def coast_down_page(result: CoastDown, subtitle: str) -> Page:
         ),
         Section(
             "Resistances (Eq 4.2)",
-            Table(VALUE_HEAD, value_rows(result)),
+            Table.of(VALUES, result.values.items()),
             lines=result.remarks,
         ),
         Section(

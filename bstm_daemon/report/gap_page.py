@@ -1,7 +1,6 @@
 """``bstm gap`` as page and as JSON: map, candidates, before and after."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from html import escape
 from textwrap import wrap
 from typing import Any, Final
@@ -86,10 +85,7 @@ def gap_page(
             )
         if gap.located is not None:
             found.append(_tables_section(gap.located))
-        sections += [
-            replace(one, heading=f"{', '.join(gap.corners)}: {one.heading}")
-            for one in found
-        ]
+        sections += [one.of(", ".join(gap.corners)) for one in found]
     first = _first(gaps)
     lead = f"{', '.join(first.corners)}: {words.sentence(first)}"
     tiles = head_tiles(gaps)

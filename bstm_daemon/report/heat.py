@@ -245,8 +245,9 @@ def heat_page(
     """Return the page of *drives*, each with its name."""
     sections = []
     for name, heat, friction in drives:
-        prefix = f"{name}: " if len(drives) > 1 else ""
-        sections += _drive_sections(prefix, heat, friction)
+        subject = name if len(drives) > 1 else ""
+        found = _drive_sections(heat, friction)
+        sections += [one.of(subject) for one in found]
     tiles = []
     if len(drives) > 1:
         sections.insert(0, _side_by_side(drives))
@@ -291,13 +292,13 @@ def sentence(heat: HeatComparison) -> str:
 
 
 def _drive_sections(
-    prefix: str, heat: HeatComparison, friction: StopFriction
+    heat: HeatComparison, friction: StopFriction
 ) -> list[Section]:
     span = (float(heat.time_s[0]), float(heat.time_s[-1]))
     active = _active(heat, span)
     sections = [
         Section(
-            f"{prefix}Heat over the drive (thesis figure 6.1)",
+            "Heat over the drive (thesis figure 6.1)",
             Table(TOTAL_HEAD, total_rows(heat)),
             plots=(
                 ("energy so far", energy_plot(heat, span)),
@@ -311,8 +312,7 @@ def _drive_sections(
     if np.isfinite(heat.momentary_ratio()).any():
         sections.append(
             Section(
-                f"{prefix}Feed-Forward over Feed-Back (thesis figures 6.2, "
-                "6.3)",
+                "Feed-Forward over Feed-Back (thesis figures 6.2, 6.3)",
                 plots=(
                     ("while braking", momentary_plot(heat, active)),
                     ("of the energies so far", integrated_plot(heat, active)),
@@ -322,8 +322,7 @@ def _drive_sections(
     if np.isfinite(heat.pressure_per_force()).any():
         sections.append(
             Section(
-                f"{prefix}Pressure over brake force (thesis figures 4.9, "
-                "4.10)",
+                "Pressure over brake force (thesis figures 4.9, 4.10)",
                 plots=(("", per_force_plot(heat, active)),),
                 note="Higher means less friction. Line: median over a second.",
                 across=1,
@@ -339,7 +338,7 @@ def _drive_sections(
             note += f" The {STOPS_DRAWN} stops with the most energy."
         sections.append(
             Section(
-                f"{prefix}Stops (thesis figures 4.5, 4.6 and 4.8)",
+                "Stops (thesis figures 4.5, 4.6 and 4.8)",
                 plots=[
                     pair
                     for i in sorted(by_energy[:STOPS_DRAWN])
@@ -351,7 +350,7 @@ def _drive_sections(
         )
         sections.append(
             Section(
-                f"{prefix}Energy balance of the stops [kJ] (Eq 4.5)",
+                "Energy balance of the stops [kJ] (Eq 4.5)",
                 Table(stop_head(heat), stop_rows(heat)),
                 folded=True,
                 note="Balance = kinetic - drag - climb + drive. Climb is the "
@@ -363,7 +362,7 @@ def _drive_sections(
     if figures:
         sections.append(
             Section(
-                f"{prefix}Friction coefficient (thesis figure 4.7)",
+                "Friction coefficient (thesis figure 4.7)",
                 plots=figures,
                 lines=friction_lines(friction),
                 note="Within a stop: brake force from motion over that of Eq "

@@ -12,7 +12,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -117,6 +117,11 @@ class Section:
     def views(self) -> list[str]:
         """The choices of the reader: each shows some of the plots."""
         return [*dict.fromkeys(p.view for _, p in self.plots if p.view)]
+
+    def of(self, subject: str) -> Section:
+        """Return it with *subject*, if any, before its heading."""
+        heading = f"{subject}: {self.heading}" if subject else self.heading
+        return replace(self, heading=heading)
 
 
 def node_section(
