@@ -140,13 +140,14 @@ class Conditions:
         for name, corner in corners.items():
             validity, level = corner.validity, corner.sure_level
             worst = max(worst, validity)
-            is_usable = validity <= _DEGRADED
-            self.margins_k[name] = (
-                corner.cautious_margin_k if is_usable else nan
-            )
+            if validity > _DEGRADED:
+                self.margins_k[name] = nan
+                is_unsure = True
+                continue
+            self.margins_k[name] = corner.cautious_margin_k
             # where only the bound of an unknown start is raised, a car that
             # is cold is no less likely
-            if not is_usable or level is _UNKNOWN:
+            if level is _UNKNOWN:
                 is_unsure = True
                 continue
             if highest is _UNKNOWN or level > highest:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from math import isnan, nan
 from typing import TYPE_CHECKING, NamedTuple
 
-from bstm_daemon.estimate import CornerRisk
+from bstm_daemon.estimate import CornerRisk, RiskLevel
 from bstm_daemon.forecast.corner_march import CornerMarch, Range, marched
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
@@ -26,6 +26,7 @@ from bstm_daemon.model.risk.levels import (
     LevelMemory,
     published_level,
 )
+from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,8 +45,7 @@ class Corner:
     """A corner's memory and what is published of it.
 
     ``march`` is of its network ``program``, the same one for corners alike.
-    ``peaks_k`` are those of the members, or the estimate's for each;
-    ``most_k`` is what theirs do not exceed.
+    ``peaks_k`` are those of the members, or the estimate's for each.
     """
 
     name: str
@@ -56,7 +56,6 @@ class Corner:
     fade: LevelMemory = field(default_factory=LevelMemory)
     now_k: list[float] = field(default_factory=list)
     peaks_k: list[float] = field(default_factory=list)
-    most_k: list[float] = field(default_factory=list)
     now: float = nan
     deviation_k: float = nan
     ahead: float = nan
@@ -75,7 +74,7 @@ class Corner:
 
     def forget(self) -> None:
         """Forget what was found after a gap; levels fall as usual."""
-        self.peaks_k, self.most_k = [], []
+        self.peaks_k = []
         self.now = self.deviation_k = self.ahead = nan
         self.parked, self.on_duty = (nan, nan, nan), (nan, nan)
 
@@ -93,7 +92,7 @@ class Car(NamedTuple):
     """What is marched: corners, those of one structure in a group.
 
     ``beside`` are the corners of another course of the same car; ``programs``
-    by corner; ``level`` is that of the car.
+    by corner; ``level`` is that of the car; ``batches`` are kept of corners.
     """
 
     corners: list[Corner]
@@ -104,6 +103,7 @@ class Car(NamedTuple):
     level: LevelMemory
     members: int
     spread: Spread
+    batches: dict[tuple[str, ...], Batch]
 
     def is_present(self, corner: Corner) -> bool:
         """Whether the march of *corner* is that of its network now."""
@@ -120,6 +120,15 @@ class Car(NamedTuple):
         ensemble = Ensemble(program, self.members, self.spread)
         return CornerMarch(ensemble, self.kernel)
 
+    def batch(self, corners: tuple[str, ...]) -> Batch:
+        """Return the networks of *corners* now as a batch, made once."""
+        programs = tuple(self.programs[name] for name in corners)
+        batch = self.batches.get(corners)
+        if batch is None or batch.programs != programs:
+            batch = Batch(programs, 0.0, None, self.kernel)
+            self.batches[corners] = batch
+        return batch
+
     def refit(self, corner: Corner) -> None:
         """Let *corner* have the march of its network now."""
         if not self.is_present(corner):
@@ -134,8 +143,10 @@ class CarForecast:
     ``starts`` and ``ranges`` are one a corner; ``at_stop``: the car had just
     stopped; ``wait`` counts the publications until it is published, as many
     as if all members were marched. ``estimates`` are the marches of all
-    corners as they are estimated, parked and then on duty; ``marched`` are the
-    courses of the members, by place.
+    corners as they are estimated, parked and then on duty; ``places`` are the
+    corners whose members are still to be looked at; ``least_k`` is what was
+    known before they were; ``marched`` are the courses of the members, by
+    place.
     """
 
     car: Car
@@ -146,10 +157,20 @@ class CarForecast:
     at_stop: bool
     wait: int
     estimates: list[Job] = field(default_factory=list)
-    place: int = 0
+    places: list[int] = field(init=False)
+    least_k: list[list[float]] = field(init=False)
     published: bool = False
     job: Job | None = None
     marched: dict[int, Course] = field(default_factory=dict)
+    _most: dict[int | None, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Look at the hottest corner first: it may decide for the car."""
+        self.least_k = [one.least_k for one in self.ranges]
+        self.places = sorted(
+            range(len(self.ranges)),
+            key=lambda place: -max(self.ranges[place].most_k),
+        )
 
     def begin_estimates(self, *, duty: bool = False) -> None:
         """Begin the marches of the estimates, parked or on *duty*.
@@ -175,8 +196,7 @@ class CarForecast:
             ]
             self.estimates.append(
                 Job.of_corners(
-                    [self.car.programs[name] for name, _ in lanes],
-                    self.car.kernel,
+                    self.car.batch(tuple(name for name, _ in lanes)),
                     [of[name].state for name, _ in lanes],
                     [conditions for _, conditions in lanes],
                     DUTY_STEPS if duty else NEAR_STEPS,
@@ -185,8 +205,8 @@ class CarForecast:
 
     def march_members(self, steps: int) -> None:
         """March those of the next corner that needs it."""
-        while self.place < len(self.car.corners):
-            place = self.place
+        while self.places:
+            place = self.places[0]
             corner, start = self.car.corners[place], self.starts[place]
             if self.job is None:
                 if not self.car.is_present(corner):
@@ -195,13 +215,12 @@ class CarForecast:
                     self.wait += 1
                     return
                 if self.is_sure(place):
-                    self.place += 1
+                    del self.places[0]
                     continue
                 twin = self._twin(place)
                 if twin is not None:
                     self.marched[place] = self.marched[twin]
-                    self.ranges[place] = self.ranges[twin]
-                    self.place += 1
+                    self._take(place, self.ranges[twin])
                     continue
                 self.job = corner.march.begin(start)
             course = marched(self.job, steps, self.boiling)
@@ -210,9 +229,8 @@ class CarForecast:
                 self.job = None
                 peaks_k = course.peaks_k(HORIZON_S)
                 safe_in_s = course.safe_in_s(self.boiling, PROBABILITIES[0])
-                self.ranges[place] = Range(peaks_k, peaks_k, safe_in_s)
-                corner.march.keep(start, course, safe_in_s)
-                self.place += 1
+                corner.march.keep(start, peaks_k, safe_in_s)
+                self._take(place, Range(peaks_k, peaks_k, safe_in_s))
             return
 
     def _twin(self, place: int) -> int | None:
@@ -230,33 +248,49 @@ class CarForecast:
 
         Neither for its level nor for the car's, as far as others are known.
         """
-        corner, boiling = self.car.corners[place], self.boiling
-        own = self.ranges[place]
-        most = boiling.mean_probability(own.most_k)
+        corner = self.car.corners[place]
+        most = self.most(place)
         if most == 0.0:
             return True
+        if (
+            self.car.beside
+            and self.car.beside[place].level.level >= RiskLevel.HIGH
+        ):
+            # a message tells the time until it is safe, which is the members'
+            return most < PROBABILITIES[0]
         if not (
-            self._does_one_thing(corner.level, [own], most)
-            and self._does_one_thing(
-                self.car.level,
-                self.ranges,
-                boiling.mean_probability(
-                    hottest([one.most_k for one in self.ranges])
-                ),
-            )
+            self._does_one_thing(corner.level, place)
+            and self._does_one_thing(self.car.level, None)
         ):
             return False
         # for the time until it is safe, before there is a bound of it
         return most < PROBABILITIES[0] or corner.march.raised_us is not None
 
-    def _does_one_thing(
-        self, level: LevelMemory, ranges: Sequence[Range], most: float
-    ) -> bool:
-        """Whether all risks of *ranges*, at *most* as given, do to *level*."""
+    def most(self, place: int | None) -> float:
+        """Return the highest risk of corner *place*, of the car if None."""
+        if place not in self._most:
+            self._most[place] = self.boiling.mean_probability(
+                hottest([one.most_k for one in self._ranges(place)])
+            )
+        return self._most[place]
+
+    def _does_one_thing(self, level: LevelMemory, place: int | None) -> bool:
+        """Whether all risks of :meth:`most`'s *place* do to *level*."""
+        most = self.most(place)
         if level.is_sure(0.0, most):
             return True
-        least_k = hottest([one.least_k for one in ranges])
+        least_k = hottest([one.least_k for one in self._ranges(place)])
         return level.is_sure(self.boiling.mean_probability(least_k), most)
+
+    def _ranges(self, place: int | None) -> list[Range]:
+        return self.ranges if place is None else [self.ranges[place]]
+
+    def _take(self, place: int, known: Range) -> None:
+        """Replace what is known of corner *place*, which is then done."""
+        self.ranges[place] = known
+        self._most.pop(place, None)
+        self._most.pop(None, None)
+        self.places.remove(place)
 
     def courses(self) -> dict[str, list[Course]]:
         """Return the courses of each corner, as they are estimated."""

@@ -27,11 +27,14 @@ if TYPE_CHECKING:
     from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.native.loader import Kernel
 
-FACTORS: Final = 3.0, 2.0, 1.5, 1.2, 1.05
-OFFSET_K: Final = 2.0
-AIR_OFFSET_K: Final = 1.0
+FACTORS: Final = 3.0, 2.0, 1.5, 1.2, 1.05, 1.01
+OFFSET_K: Final = 0.5
+AIR_OFFSET_K: Final = 0.3
 """A ceiling for later forecasts is above the rises of now by the largest of
 the factors that is of use and by an offset, so that it lasts."""
+
+CLOSE: Final = FACTORS[-2:]
+"""Those where vapour is likely: it tells when it is safe, too."""
 
 
 UNSPREAD: Final = 1.3
@@ -114,14 +117,14 @@ class CornerMarch:
         """Return a march of the members from *start*, parked."""
         return self._begin(start.state, start.duty.ambient_k, start.factor)
 
-    def keep(self, start: Start, course: Course, safe_in_s: float) -> None:
-        """Let the *course* from *start* bound later ones.
+    def keep(
+        self, start: Start, peaks_k: Sequence[float], safe_in_s: float
+    ) -> None:
+        """Let a march from *start* with *peaks_k* bound later ones.
 
         *safe_in_s* is its time until vapour is unlikely.
         """
-        self._ceilings.keep(
-            self._heat(start), course.peaks_k(HORIZON_S), safe_in_s
-        )
+        self._ceilings.keep(self._heat(start), peaks_k, safe_in_s)
 
     def raise_ceiling(
         self,
@@ -142,7 +145,8 @@ class CornerMarch:
         ensemble, boiling = self.ensemble, start.boiling
         air_k = start.duty.ambient_k
         above_k = AIR_OFFSET_K + OFFSET_K + MARGIN_K + air_k
-        for factor in FACTORS:
+        is_likely = not boiling.mean_probability(peaks_k) < PROBABILITIES[0]
+        for factor in CLOSE if is_likely else FACTORS:
             expected_k = [above_k + factor * (one - air_k) for one in peaks_k]
             probability = boiling.mean_probability(expected_k)
             if is_of_use is not None and is_of_use(probability):

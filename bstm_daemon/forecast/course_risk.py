@@ -119,6 +119,7 @@ class CourseRisk:
             self._level,
             self.members,
             spread,
+            {},
         )
         for name in estimator.layout.corners:
             if (program := estimator.programs.get(name)) is not None:
@@ -321,7 +322,7 @@ class CourseRisk:
             forecast.march_members(steps)
             if (
                 forecast.wait < 0
-                and forecast.place == len(self._corners)
+                and not forecast.places
                 and all(job.finished for job in forecast.estimates)
             ):
                 self._commit(forecast)
@@ -350,8 +351,7 @@ class CourseRisk:
         for place, corner in enumerate(self._corners):
             course = forecast.marched.get(place)
             known = forecast.ranges[place]
-            corner.ahead = boiling.mean_probability(known.most_k)
-            corner.most_k = known.most_k
+            corner.ahead = forecast.most(place)
             if course is None:
                 # the estimate alone stands for each of its members
                 (course,) = estimates[corner.name]
@@ -366,9 +366,7 @@ class CourseRisk:
             corner.level.by_probability(corner.probability, forecast.time_us)
             self._raise_ceiling(forecast, place)
         # a bound may be above what the estimate alone says; a nan stays
-        self._ahead = boiling.mean_probability(
-            hottest([c.most_k for c in self._corners])
-        )
+        self._ahead = forecast.most(None)
         self._update_car(boiling, forecast.time_us)
 
     def _raise_ceiling(self, forecast: CarForecast, place: int) -> None:
@@ -380,8 +378,13 @@ class CourseRisk:
 
         def is_of_use(probability: float) -> bool:
             return all(
-                level.is_sure(0.0, probability)
-                for level in (corner.level, self._level)
+                level.is_sure(
+                    forecast.boiling.mean_probability(least_k), probability
+                )
+                for level, least_k in (
+                    (corner.level, forecast.least_k[place]),
+                    (self._level, hottest(forecast.least_k)),
+                )
             )
 
         of = forecast.starts[place], forecast.ranges[place].most_k

@@ -7,7 +7,7 @@ grow with the time ahead; the tests compare them with a march of 0.05 s.
 from __future__ import annotations
 
 from array import array
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from itertools import accumulate, chain
 from math import exp, inf, isnan, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -61,6 +61,8 @@ DUTY_MEMORY_S: Final = 120.0
 """Time constant of the duty's means: a few bends of a descent."""
 
 _CHANNELS: Final = tuple(channels_at_rest(0.0))
+_AT_REST: Final = array("d", channels_at_rest(0.0).values())
+_AIR: Final = _CHANNELS.index("ambient_k")
 _CONDITION_CHANNELS: Final = tuple(
     _CHANNELS.index("brake_power_w" if name == "power_w" else name)
     for name in Conditions._fields
@@ -119,7 +121,7 @@ class Course(NamedTuple):
     """
 
     times_s: tuple[float, ...]
-    fluid_k: list[tuple[float, ...]]
+    fluid_k: Sequence[Sequence[float]]
 
     def peaks_k(self, until_s: float) -> list[float]:
         """Return each member's highest temperature [K] up to *until_s*."""
@@ -169,14 +171,14 @@ class Course(NamedTuple):
         return last_k < before_k and self.probability(-1, boiling) < limit
 
     def _end(self, until_s: float) -> int:
-        return sum(seconds <= until_s for seconds in self.times_s)
+        return bisect_right(self.times_s, until_s)
 
 
 class DutyCourse(NamedTuple):
     """Course of a fluid on duty, and its standard deviation [K] at a point."""
 
     times_s: tuple[float, ...]
-    fluid_k: tuple[float, ...]
+    fluid_k: Sequence[float]
     std_k: Callable[[int], float]
 
     def reached_in_s(
@@ -228,7 +230,7 @@ class Job:
         self._batch, self._fluid_at = batch, fluid
         self._state, self._inputs, self._steps = state, inputs, steps
         self._done = 0
-        self._fluid = [state[fluid :: batch.width]]
+        self._fluid = state[fluid :: batch.width]
 
     @classmethod
     def of_members(
@@ -252,19 +254,20 @@ class Job:
             factor: widens the spread.
         """
         air_k = ensemble.ambients_k(conditions.ambient_k, factor)
+        inputs = _inputs([conditions]) * ensemble.count
+        inputs[_AIR :: len(_CHANNELS)] = array("d", air_k)
         return cls(
             ensemble.batch(kernel),
             ensemble.fluid,
             ensemble.states(state, conditions.ambient_k, factor),
-            _inputs([conditions._replace(ambient_k=one) for one in air_k]),
+            inputs,
             steps,
         )
 
     @classmethod
     def of_corners(
         cls,
-        programs: Sequence[Program],
-        kernel: Kernel | None,
+        batch: Batch,
         states: Sequence[Sequence[float]],
         conditions: Sequence[Conditions],
         steps: Sequence[float],
@@ -272,15 +275,14 @@ class Job:
         """Return the march of corners of one structure as they are estimated.
 
         Args:
-            programs: one a corner.
-            kernel: the compiled one; None runs the reference.
+            batch: of the corners.
             states: nodes [K] and memories of each now.
             conditions: what acts on each from now on.
             steps: of the march [s].
         """
         return cls(
-            Batch(programs, 0.0, None, kernel),
-            programs[0].state_names.index("fluid"),
+            batch,
+            batch.names.index("fluid"),
             array("d", chain.from_iterable(states)),
             _inputs(conditions),
             steps,
@@ -305,7 +307,6 @@ class Job:
         limit += self._done
         end = min(limit, len(self._steps))
         size = self._batch.width + self._batch.sources
-        row = self.lanes * size
         # of all jobs of the batch
         self._batch.state = self._state
         while self._done < end:
@@ -317,17 +318,17 @@ class Job:
             ):
                 count += 1
             out = self._batch.march(self._inputs * count, count, step_s)
-            self._fluid += [
-                out[first + self._fluid_at : first + row : size]
-                for first in range(0, count * row, row)
-            ]
+            # rows follow each other as the lanes of a row do
+            self._fluid += out[self._fluid_at :: size]
             self._done += count
         return limit - end
 
     def course(self) -> Course:
         """Return the course of the members' fluid so far."""
-        times = accumulate(self._steps[: len(self._fluid) - 1], initial=0.0)
-        return Course(tuple(times), [*zip(*self._fluid, strict=True)])
+        times = accumulate(self._steps[: self._done], initial=0.0)
+        lanes = self.lanes
+        series = [self._fluid[lane::lanes] for lane in range(lanes)]
+        return Course(tuple(times), series)
 
 
 def parked_course(
@@ -348,7 +349,7 @@ def parked_course(
 
 def _inputs(conditions: Sequence[Conditions]) -> array[float]:
     """Return one step's rows, a row for each of *conditions*."""
-    rows = array("d", channels_at_rest(0.0).values()) * len(conditions)
+    rows = _AT_REST * len(conditions)
     for channel, values in zip(
         _CONDITION_CHANNELS, zip(*conditions, strict=True), strict=True
     ):

@@ -260,6 +260,8 @@ class AdviceSeries:
     def __init__(self, following: Following) -> None:
         """Begin where *following* is."""
         self._following = following
+        self._is_held = np.zeros(len(ROLE_INDEX) + 1, bool)
+        self._is_held[[*following.advisor.roles.names]] = True
         self._samples: list[tuple[int, str, float]] = []
         # no sample from a place on is earlier than this [us]
         self._earliest_us: list[int] = []
@@ -267,7 +269,7 @@ class AdviceSeries:
     def ingest(self, times_us: Any, roles: Any, values: Any) -> None:
         """Take arrays [n]: stamps [us], role numbers, values."""
         names = self._following.advisor.roles.names
-        kept = np.flatnonzero(np.isin(roles, sorted(names)))
+        kept = np.flatnonzero(self._is_held[roles])
         times_us, roles, values = times_us[kept], roles[kept], values[kept]
         if np.all(np.diff(times_us) >= 0):
             # of those between two publications only the last one counts

@@ -230,10 +230,10 @@ def test_a_march_bounds_later_ones_and_one_is_made_for_it() -> None:
     assert uncovered.safe_in_s == inf
     job = march.begin(hot_disc)
     job.advance(1000)
-    march.keep(hot_disc, job.course(), 7.0)
+    peaks_k = job.course().peaks_k(HORIZON_S)
+    march.keep(hot_disc, peaks_k, 7.0)
     covered = range_k(hot_disc)
     assert covered.safe_in_s == 7.0
-    peaks_k = job.course().peaks_k(HORIZON_S)
     assert covered.most_k == pytest.approx([p + MARGIN_K for p in peaks_k])
 
     hotter = hot_disc._replace(state=[k + 9.0 for k in hot_disc.state])

@@ -1,7 +1,7 @@
 """Levels and advice of each simulated drive, against all members marched.
 
 What keeps members from being marched must change no level, no warning and no
-advice at any publication.
+advice at any publication, and not the time that a message tells to wait.
 """
 
 from __future__ import annotations
@@ -79,10 +79,6 @@ def test_nothing_that_is_decided_depends_on_which_members_are_marched(
     every = decided(log, start)
 
     assert len(found) == 17
-    # the time that a message tells is at most as given
-    waits_s, least_s = (one.pop("advice_waiting_s") for one in (found, every))
-    assert np.array_equal(np.isnan(waits_s), np.isnan(least_s))
-    assert not np.any(waits_s < least_s)
     assert log.stem != QUICK or found["risk_level"].any()
     differ = {
         name: int(np.sum(~((column == every[name]) | np.isnan(column))))

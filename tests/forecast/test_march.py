@@ -262,8 +262,7 @@ def test_corners_march_as_the_member_without_spread() -> None:
     duty = Conditions(AIR_K, 10.0, 8e5, 1.0, 5600.0)
     lanes = [(hot(corner), duty), (cold, duty), (hot(corner), PARKED)]
     job_ = Job.of_corners(
-        [corner] * 3,
-        KERNEL,
+        Batch([corner] * 3, 0.0, None, KERNEL),
         [state for state, _ in lanes],
         [conditions for _, conditions in lanes],
         DUTY_STEPS,
@@ -309,8 +308,7 @@ def test_the_deviation_on_duty_is_about_the_members(
         DUTY_STEPS,
     )
     pair = Job.of_corners(
-        [corner] * 2,
-        KERNEL,
+        Batch([corner] * 2, 0.0, None, KERNEL),
         [state] * 2,
         [duty, duty._replace(power_w=0.0)],
         DUTY_STEPS,

@@ -2,8 +2,8 @@
  * does the same operations in the same order).
  *
  * Knows nodes, links, sources, memories; knows nothing of brakes. Members of
- * a batch are marched side by side in blocks of LANES, or of FEW (the corners
- * of a car), or alone; all give the same bits (no contraction, no
+ * a batch are marched side by side in blocks of LANES, of SOME, of FEW (the
+ * corners of a car), or alone; all give the same bits (no contraction, no
  * reassociation).
  */
 #include "march.h"
@@ -12,7 +12,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LANES 8
+#define LANES 16
+#define SOME 8
 #define FEW 4
 /* Four doubles at a time where the processor can: each lane rounds the same. */
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__)
@@ -592,6 +593,11 @@ WIDE static void march_few(const March *m, Work *w, size_t first)
     march_block(FEW, m, w, first);
 }
 
+WIDE static void march_some(const March *m, Work *w, size_t first)
+{
+    march_block(SOME, m, w, first);
+}
+
 WIDE static void march_lanes(const March *m, Work *w, size_t first)
 {
     march_block(LANES, m, w, first);
@@ -606,11 +612,13 @@ int bstm_march(const March *m)
     while (first < (size_t)m->members) {
         const size_t left = (size_t)m->members - first;
         /* a single step is mostly spent on filling the lanes */
-        const int W = left > FEW && (m->steps > 1 || left >= LANES) ? LANES
-            : left >= FEW || (left > 1 && m->steps > 1) ? FEW : 1;
+        const int many = m->steps > 1;
+        const int W = left >= LANES || (many && left > LANES - FEW) ? LANES
+            : left >= SOME || (many && left > FEW) ? SOME
+            : left >= FEW || (many && left > 1) ? FEW : 1;
         work_layout(&w, m->s, memory, W);
-        (W == LANES ? march_lanes : W == FEW ? march_few : march_one)(
-            m, &w, first);
+        (W == LANES ? march_lanes : W == SOME ? march_some
+            : W == FEW ? march_few : march_one)(m, &w, first);
         first += W;
     }
     free(memory);

@@ -6,6 +6,7 @@ A file stands under its name when all rows are in it, and not before.
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TextIO
 
@@ -67,6 +68,7 @@ _EXACT: Final = ("time_s", "distance_m")
 _SIGNIFICANT: Final = 6
 
 
+@cache
 def form_of(name: str) -> Form:
     """Return how the column *name* is written."""
     return next(f for ends, f in _FORMS.items() if name.endswith(ends))
@@ -193,6 +195,7 @@ class _ParquetSink:
     def __init__(self, path: Path, temporary: Path) -> None:
         self._path = path
         self._temporary = temporary
+        self._schema: Any = None
         self._writer: Any = None
         self._waiting: Any = None
 
@@ -201,14 +204,17 @@ class _ParquetSink:
 
         time_us = np.rint(rows.columns["time_s"] * 1e6).astype(np.int64)
         arrays = [pa.array(time_us, pa.timestamp("us", "UTC"))]
-        fields = [pa.field(TIMESTAMP, arrays[0].type)]
         for name, column in rows.columns.items():
             values, absent = _stored(name, column)
             arrays.append(pa.array(values, mask=absent))
-            metadata = {"unit": form_of(name).unit}
-            fields.append(pa.field(name, arrays[-1].type, metadata=metadata))
-        about = {"program": f"bstm-daemon {__version__}"}
-        table = pa.table(arrays, pa.schema(fields, metadata=about))
+        if self._schema is None:
+            fields = [pa.field(TIMESTAMP, arrays[0].type)]
+            for name, values in zip(rows.columns, arrays[1:], strict=True):
+                unit = {"unit": form_of(name).unit}
+                fields.append(pa.field(name, values.type, metadata=unit))
+            about = {"program": f"bstm-daemon {__version__}"}
+            self._schema = pa.schema(fields, metadata=about)
+        table = pa.table(arrays, self._schema)
         if self._waiting is not None:
             table = pa.concat_tables([self._waiting, table])
         while len(table) >= GROUP_ROWS:
@@ -308,12 +314,13 @@ def _stored(
         absent = np.isnan(column)
         codes = np.where(absent, 0.0, column)
         return codes.astype("i8" if name == "flags" else "i2"), absent
+    scale: Any
     if form.stored is None:
         known = np.isfinite(column) & (column != 0.0)
         size = np.log10(np.abs(column, where=known, out=np.ones(len(column))))
         scale = 10.0 ** (_SIGNIFICANT - 1 - np.floor(size))
     else:
-        scale = np.full(len(column), 10.0**form.stored)
+        scale = 10.0**form.stored
     rounded = np.rint(column * scale) / scale
     return rounded.astype("f8" if name in _EXACT else "f4"), None
 

@@ -205,15 +205,15 @@ def test_both_forms_agree_with_everything_on(
     assert list(two.ledger) == pytest.approx(list(one.ledger), rel=1e-12)
 
 
-@pytest.mark.parametrize("count", [2, 7, 23])
+@pytest.mark.parametrize("count", [2, 7, 23, 30])
 def test_lanes_equal_single_members(
     compiled: Kernel, make_spec: MakeSpec, count: int
 ) -> None:
-    """Blocks of four and eight, the last one not full, bit for bit."""
+    """Blocks of four, eight and 16, the last not full, bit for bit."""
     spec = rough_spec(make_spec)
     programs = [
         everything(
-            spec, wet_disc=0.1 * (i + 1), friction_history=2.3 - 0.1 * i
+            spec, wet_disc=0.07 * (i + 1), friction_history=2.3 - 0.07 * i
         )
         for i in range(count)
     ]
