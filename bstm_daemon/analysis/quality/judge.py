@@ -52,6 +52,8 @@ def mode_verdicts(
     read, missing, remarks = (
         one + other for one, other in zip(forward, back, strict=True)
     )
+    if not judge.found(LONGITUDINAL):
+        missing.append(f"{LONGITUDINAL} to learn from")
     return (
         judge.verdict("ff", forward),
         judge.verdict("fb", back),
@@ -83,6 +85,10 @@ class _Judge:
             if r.statistics is not None
             and r.statistics.missing_share > MISSING_SHARE
         }
+
+    def found(self, role: str) -> bool:
+        """Return whether the recording has *role*."""
+        return role in self._found
 
     def feed_forward(self) -> Inputs:
         read = self._speeds()

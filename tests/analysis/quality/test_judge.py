@@ -413,6 +413,16 @@ def test_what_a_mode_lacks_is_said(clean: Recording, judged: Judge) -> None:
     assert not quality.usable
 
 
+def test_fused_learns_from_the_accelerometer(
+    clean: Recording, judged: Judge
+) -> None:
+    quality = judged(without(clean, ACCELERATION))
+
+    missing = {mode.mode: mode.missing for mode in quality.modes}
+    assert missing["fused"] == (f"{ACCELERATION} to learn from",)
+    assert missing["ff"] == missing["fb"] == ()
+
+
 def test_own_ids_on_the_bus_are_told(clean: Recording, judged: Judge) -> None:
     taken = replace(clean, seen={(0, 0x5B0, False): 12, (0, 0x100, False): 3})
 
