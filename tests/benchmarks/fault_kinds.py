@@ -233,6 +233,8 @@ def _wheels() -> list[Fault]:
         _changed("vehicle speed: reads 0", SPEEDS[-1], constant(0.0)),
         _changed("vehicle speed: frozen", SPEEDS[-1], frozen),
         _changed("vehicle speed: x1.5", SPEEDS[-1], linear(1.5)),
+        _changed("satellite speed: half", "gnss_speed", linear(0.5)),
+        _changed("satellite speed: frozen", "gnss_speed", frozen),
     ]
 
 

@@ -74,7 +74,8 @@ EVERY: Final = round(1.0 / SAMPLE_S / RATE_HZ)
 INPUTS: Final[dict[str, tuple[str, ...]]] = {
     "all": (
         *WHEELS,
-        *("vehicle_speed", "primary_pressure", "secondary_pressure"),
+        *("vehicle_speed", "gnss_speed"),
+        *("primary_pressure", "secondary_pressure"),
         *("acceleration_longitudinal", "acceleration_lateral", "yaw_rate"),
         *("powertrain_torque", "motor_torque", "engine_speed", "gear"),
         *("clutch_open", "brake_torque", "external_force"),

@@ -590,19 +590,23 @@ def test_windows_in_which_a_drive_moves_the_car_too_little(
     assert m.held_back_s == found_s
 
 
-def line(n: int, *, offset: float, slope: float = 0.9) -> ObserverMemory:
+def line(
+    n: int, *, offset: float, slope: float = 0.9, step: float = 0.5
+) -> ObserverMemory:
     """Return the memory after *n* windows along a line."""
     m = zeros(ObserverMemory)
     for i in range(n):
-        x = 0.5 + 0.5 * (i % 4)
+        x = step + step * (i % 4)
         compare_forces(m, x, offset + slope * x)
     return m
 
 
 def test_braking_that_an_offset_hides_or_adds() -> None:
-    """0.2 m/s2 and 15 % of the braking, over 20 windows of several kinds."""
-    assert unbalanced(line(40, offset=-0.21))
-    assert not unbalanced(line(40, offset=-0.19))
+    """0.15 m/s2 and 15 % of the braking, over 20 windows of several kinds."""
+    assert unbalanced(line(40, offset=-0.16, step=0.3))
+    assert not unbalanced(line(40, offset=-0.14, step=0.3))
+    assert unbalanced(line(40, offset=-0.19))  # 0.15 of 1.25 m/s2
+    assert not unbalanced(line(40, offset=-0.18))
     assert unbalanced(line(40, offset=0.45))  # 0.35 of 1.25 m/s2
     assert not unbalanced(line(40, offset=0.42))
     assert not unbalanced(line(40, offset=0.6, slope=0.7))  # they fade
