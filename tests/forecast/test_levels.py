@@ -1,20 +1,24 @@
 """Levels and advice of each simulated drive, against all members marched.
 
 What keeps members from being marched must change no level, no warning and no
-advice at any publication, and not the time that a message tells to wait.
+advice at any publication, and not the time that a message tells to wait. Of a
+duty no members are marched: its time is compared with theirs.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from math import inf
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast.car_forecast import CarForecast
+from bstm_daemon.forecast import course_risk
+from bstm_daemon.forecast.car_forecast import CarForecast, Corner
 from bstm_daemon.forecast.course_risk import CourseRisk
+from bstm_daemon.forecast.march import DUTY_STEPS, Job, _inputs
 from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.replay.columns import stream_log
 from bstm_daemon.replay.results import Collector
@@ -24,6 +28,7 @@ from bstm_daemon.simulation.recorder import Encoder, write_candump
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bstm_daemon.forecast.corner_march import Start
     from bstm_daemon.replay.results.builder import Column
 
 pytestmark = [
@@ -60,8 +65,7 @@ def decided(log: Path, start: str) -> dict[str, Column]:
     }
 
 
-@pytest.mark.parametrize("start", ["cold", "unknown"])
-@pytest.mark.parametrize(
+each_drive = pytest.mark.parametrize(
     "log",
     [
         pytest.param(name, marks=() if name == QUICK else pytest.mark.full)
@@ -69,6 +73,10 @@ def decided(log: Path, start: str) -> dict[str, Column]:
     ],
     indirect=True,
 )
+
+
+@pytest.mark.parametrize("start", ["cold", "unknown"])
+@each_drive
 def test_nothing_that_is_decided_depends_on_which_members_are_marched(
     log: Path, start: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,3 +94,61 @@ def test_nothing_that_is_decided_depends_on_which_members_are_marched(
         if not np.array_equal(column, every[name], equal_nan=True)
     }
     assert not differ
+
+
+def members_on_duty(corner: Corner, start: Start) -> tuple[float, float]:
+    """Return when a tenth of the members' vapour is there, and the most."""
+    ensemble, duty, factor = corner.ensemble, start.duty, start.factor
+    width = factor * ensemble.spread.duty_heat
+    air_k = ensemble.ambients_k(duty.ambient_k, factor)
+    power_w = [
+        duty.power_w * max(1.0 + width * draw["duty_heat"], 0.0)
+        for draw in ensemble.draws
+    ]
+    job = Job(
+        ensemble.batch(load_kernel()),
+        ensemble.fluid,
+        ensemble.states(start.state, duty.ambient_k, factor),
+        _inputs(
+            [
+                duty._replace(ambient_k=air, power_w=power)
+                for air, power in zip(air_k, power_w, strict=True)
+            ]
+        ),
+        DUTY_STEPS,
+    )
+    job.advance(len(DUTY_STEPS))
+    course = job.course()
+    risks = [
+        course.probability(i, start.boiling)
+        for i in range(len(course.times_s))
+    ]
+    at = next((i for i, risk in enumerate(risks) if risk >= 0.1), None)
+    return inf if at is None else course.times_s[at], max(risks)
+
+
+@each_drive
+def test_the_time_on_duty_is_that_of_its_members(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To first order, within 90 s; nothing is missed."""
+    pairs: list[tuple[float, float, float]] = []
+    first_order = course_risk._on_duty
+
+    def compared(
+        corner: Corner, start: Start, *of: Any
+    ) -> tuple[float, float]:
+        peak_k, told_s = first_order(corner, start, *of)
+        pairs.append((told_s, *members_on_duty(corner, start)))
+        return peak_k, told_s
+
+    monkeypatch.setattr(course_risk, "_on_duty", compared)
+    decided(log, "cold")
+
+    assert pairs
+    assert log.stem != QUICK or sum(0.0 < own_s < inf for _, own_s, _ in pairs)
+    for told_s, own_s, most in pairs:
+        if own_s == inf:
+            assert told_s == inf or most > 0.09
+        else:
+            assert abs(told_s - own_s) <= 90.0
