@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import is_change, name_of, said_percent
-from bstm_daemon.analysis.gap.evidence import NormalEquations
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.joint_effects import NormalEquations
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.residual_heat import WINDOW_STEPS

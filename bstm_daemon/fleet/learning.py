@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from bstm_daemon.analysis.gap import evidence
+from bstm_daemon.analysis.gap import evidence, joint_effects
 from bstm_daemon.analysis.gap.changes import either_sign, is_change, is_listed
 from bstm_daemon.analysis.gap.naming import GATE_NOTHING, GATE_Z, SURE
 from bstm_daemon.analysis.identify.writing import (
@@ -67,7 +67,7 @@ class Searched(NamedTuple):
 
     car: str
     answer: str
-    equations: evidence.NormalEquations
+    equations: joint_effects.NormalEquations
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,14 +190,14 @@ def _best(
         (common > np.log(SURE / (1.0 - SURE)))
         & (together - count > -np.log(GATE_NOTHING))
         & (_pooled_z(score, g) >= GATE_Z)
-        & (gains.sum(axis=0) >= evidence.NEXT_SHARE * first.sum())
+        & (gains.sum(axis=0) >= joint_effects.NEXT_SHARE * first.sum())
     )
-    least_z = np.where(first > 0.0, evidence.NEXT_Z, GATE_Z)[:, None]
+    least_z = np.where(first > 0.0, joint_effects.NEXT_Z, GATE_Z)[:, None]
     plain = (
         (own - count > -np.log(GATE_NOTHING))
         & (own - of_any[:, None] > np.log(1.0 - SURE))
         & (np.sqrt(2.0 * gains) >= least_z)
-        & (gains >= evidence.NEXT_SHARE * first[:, None])
+        & (gains >= joint_effects.NEXT_SHARE * first[:, None])
     )
     has_it = plain | is_common
     total = (gains * has_it).sum(axis=0)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap.evidence import NormalEquations, strength_prior
+from bstm_daemon.analysis.gap.evidence import strength_prior
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.joint_effects import NormalEquations
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.tunables import (
     MASS,

@@ -19,14 +19,13 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.evidence import (
-    NEXT_EVIDENCE,
-    NEXT_SHARE,
     Candidate,
     cross_validated,
     explained_share,
     probabilities,
     weigh,
 )
+from bstm_daemon.analysis.gap.joint_effects import NEXT_EVIDENCE, NEXT_SHARE
 from bstm_daemon.analysis.gap.naming import AGAINST, Naming
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.residual_heat import measured_nodes

@@ -17,20 +17,22 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import is_change, twins_of
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
-    JointEffects,
-    NormalEquations,
     best_placebo,
     cross_validated,
     explained_share,
     likeliest,
     missing_evidence,
     missing_probability,
-    normal_equations,
-    pair_evidence,
     probabilities,
-    search_joint_effects,
     unnamed_beside,
     weigh,
+)
+from bstm_daemon.analysis.gap.joint_effects import (
+    JointEffects,
+    NormalEquations,
+    normal_equations,
+    pair_evidence,
+    search_joint_effects,
 )
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import Linearised, Signature

@@ -14,13 +14,10 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import is_change
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.composing import with_composed
-from bstm_daemon.analysis.gap.evidence import (
-    NEXT_EVIDENCE,
-    NEXT_SHARE,
-    weigh,
-)
+from bstm_daemon.analysis.gap.evidence import weigh
 from bstm_daemon.analysis.gap.fitting import fit, prior_along
 from bstm_daemon.analysis.gap.form import daily, form_k
+from bstm_daemon.analysis.gap.joint_effects import NEXT_EVIDENCE, NEXT_SHARE
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import Layout, calibrated
 from bstm_daemon.analysis.gap.signatures import (

@@ -9,17 +9,19 @@ import pytest
 
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
-    JointEffects,
     cross_validated,
     explained_share,
     missing_evidence,
     missing_probability,
-    pair_evidence,
     probabilities,
-    search_joint_effects,
     strength_prior,
     unnamed_beside,
     weigh,
+)
+from bstm_daemon.analysis.gap.joint_effects import (
+    JointEffects,
+    pair_evidence,
+    search_joint_effects,
 )
 from bstm_daemon.analysis.gap.naming import (
     AGAINST,
@@ -319,11 +321,11 @@ def columns() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(11)
     found = {
         name: rng.normal(0.0, 1.0, MIXED_POINTS)
-        for name in ("a", "b", "other")
+        for name in ("pad_wear", "wet_disc", "disc_hat")
     }
     # neither is missing, but alone it explains more than each that is
     own = rng.normal(0.0, 0.3, MIXED_POINTS)
-    found["mixture"] = 0.7 * (found["a"] + found["b"]) + own
+    found["mass_error"] = 0.7 * (found["pad_wear"] + found["wet_disc"]) + own
     return found
 
 
@@ -347,30 +349,56 @@ def searched(
 
 
 def test_a_wrong_first_pick_is_undone(columns: dict[str, np.ndarray]) -> None:
-    found = searched(columns, {"a": 1.2, "b": 0.8})
+    found = searched(columns, {"pad_wear": 1.2, "wet_disc": 0.8})
 
-    assert {one.name for one in found.chosen} == {"a", "b"}
-    assert set(found.sure) == {"a", "b"}
+    assert {one.name for one in found.chosen} == {"pad_wear", "wet_disc"}
+    assert set(found.sure) == {"pad_wear", "wet_disc"}
     assert found.share > 0.9
 
 
 def test_one_effect_stays_alone(columns: dict[str, np.ndarray]) -> None:
-    found = searched(columns, {"a": 1.0})
+    found = searched(columns, {"pad_wear": 1.0})
 
-    assert [one.name for one in found.chosen] == ["a"]
-    assert found.sure == ("a",)
+    assert [one.name for one in found.chosen] == ["pad_wear"]
+    assert found.sure == ("pad_wear",)
     assert found.leftover is not None
 
 
 def test_what_is_small_beside_the_first_is_not_added(
     columns: dict[str, np.ndarray],
 ) -> None:
-    found = searched(columns, {"a": 3.0, "other": 0.4})
+    found = searched(columns, {"pad_wear": 3.0, "disc_hat": 0.4})
 
-    assert [one.name for one in found.chosen] == ["a"]
+    assert [one.name for one in found.chosen] == ["pad_wear"]
     assert found.leftover is not None
-    assert found.leftover.name == "other"
+    assert found.leftover.name == "disc_hat"
     assert found.leftover.z > 4.2
+
+
+def test_a_twin_that_makes_up_for_the_form_is_not_added() -> None:
+    """Late by a strength of 3, of which the course bends."""
+    rng = np.random.default_rng(13)
+    late, bent, own, noise = rng.normal(0.0, 1.0, (4, MIXED_POINTS))
+    lag = replace(signature("thermocouple_lag", late), curved=bent)
+    clock = signature("clock_offset", bent)
+    other = signature("wet_disc", bent)
+
+    def chosen(residual: np.ndarray, second: Signature) -> list[str]:
+        known = Linearised(
+            residual, np.zeros((MIXED_POINTS, 2)), (lag, second), (), ()
+        )
+        project = Projector(known.jacobian, PRIOR)
+        found = [weigh(project, residual, one) for one in (lag, second)]
+        several = search_joint_effects(project, known, found)
+        return sorted(one.name for one in several.chosen)
+
+    bends = noise - lag.at(3.0)
+    assert chosen(bends, clock) == ["thermocouple_lag"]
+    # what is no twin may be beside it, and so may a twin that is plain
+    assert chosen(bends, other) == ["thermocouple_lag", "wet_disc"]
+    plain = signature("clock_offset", own)
+    both = bends - plain.at(4.0)
+    assert chosen(both, plain) == ["clock_offset", "thermocouple_lag"]
 
 
 def inverse_of(known: Linearised) -> np.ndarray:

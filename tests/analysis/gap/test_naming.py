@@ -9,11 +9,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.comparison import with_effects
-from bstm_daemon.analysis.gap.evidence import (
-    Candidate,
-    probabilities,
-    weigh,
-)
+from bstm_daemon.analysis.gap.evidence import Candidate, probabilities, weigh
 from bstm_daemon.analysis.gap.fitting import effect_entries, fit
 from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
