@@ -166,7 +166,7 @@ def implausible_mass(m: ObserverMemory) -> bool:
 
 def compare_radius(m: ObserverMemory, s: Step) -> None:
     """Filter the ratio of wheel speed to each speed over ground."""
-    if not s.steady:
+    if not s.steady or abs(m.rate) > rules.RADIUS_RATE_MS2:
         return
     share = 1.0 - exp(-s.dt_s / rules.RADIUS_S)
     for i, ground_ms in enumerate(s.ground_speeds):

@@ -127,7 +127,9 @@ FORM_LIMIT: Final = 1.5
 
 RADIUS_S: Final = 60.0
 RADIUS_LIMIT: Final = 0.05
-"""Relative difference of wheel and ground speed above which they disagree."""
+RADIUS_RATE_MS2: Final = 0.5
+"""Relative difference of wheel and ground speed above which they disagree. A
+receiver filters: while the speed changes faster, it is behind by as much."""
 
 DEAD_MS2: Final = 2.0
 DEAD_S: Final = 6.0

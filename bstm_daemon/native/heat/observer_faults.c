@@ -106,7 +106,7 @@ int observer_faults_implausible_radius(const ObserverMemory *m)
 
 void observer_faults_compare_radius(ObserverMemory *m, const Step *s)
 {
-    if (!s->steady) return;
+    if (!s->steady || fabs(m->rate) > RADIUS_RATE_MS2) return;
     const double share = 1.0 - exp(-s->dt_s / RADIUS_S);
     for (int i = 0; i < GROUND_SPEEDS; i++) {
         const double ground_ms = s->ground_speeds[i];

@@ -480,6 +480,27 @@ def test_a_wrong_radius_shows_against_satellites(
     assert wrong.flag("wheel_radius")[-1]
 
 
+def test_a_receiver_that_filters_shows_no_wrong_radius(
+    kernel: Kernel | None, fused: Callable[..., Run]
+) -> None:
+    """Hard stops, braking with interventions: it is behind by 0.6 s."""
+    driver = Driver(Truth(), speed=0.0)
+    samples = []
+    ground = 0.0
+    for _ in range(10):
+        drive = [*driver.drive(9.0, 3.0), *driver.drive(3.4, -8.0, esc=1.0)]
+        for at, role, value in drive:
+            if role == "gnss_speed":
+                ground += (value - ground) * 0.05 / 0.6
+            samples.append(
+                (at, role, ground if role == "gnss_speed" else value)
+            )
+    run = fused(kernel, "gnss_speed").feed(samples)
+
+    assert not any(run.flag("wheel_radius"))
+    assert run.of_car("mass_kg")[-1] > 2250.0
+
+
 @dataclass
 class Balance:
     """A drive with several pressures, by a torque and an accelerometer."""
