@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -363,3 +364,14 @@ def test_what_the_readme_makes_is_no_part_of_the_clone() -> None:
 
     for made in ("/results/", "/bstm-demo/", "/*.log", "/*.toml", "/*.html"):
         assert made in ignored
+
+
+def test_lines_whose_mutants_are_equivalent_are_in_their_files() -> None:
+    """Mutation testing refuses to begin where one is not."""
+    named = PACKAGE.parent / "tests/benchmarks/mutants.toml"
+    entries = tomllib.loads(named.read_text("utf-8"))["equivalent"]
+
+    for entry in entries:
+        lines = (PACKAGE / entry["file"]).read_text("utf-8").splitlines()
+        assert entry["before"] in map(str.strip, lines)
+        assert entry["reason"]

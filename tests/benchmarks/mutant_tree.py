@@ -36,20 +36,25 @@ COMPILE: Final = (
 )
 SHARED: Final = """
 import json
+import sys
 from bstm_daemon.model import compiled
 from bstm_daemon.native.sources import SOURCES, digest
 from bstm_daemon.simulation import header
 hashes = {module: digest(module) for module in SOURCES}
 headers = {"generated.h": compiled, "reality.h": header}
 texts = {name: made.generated_header() for name, made in headers.items()}
-print(json.dumps([texts, SOURCES, hashes]))
+files = [module.__file__ for module in [*sys.modules.values()]
+         if module.__name__.startswith("bstm_daemon")]
+print(json.dumps([texts, SOURCES, hashes, files]))
 """
 PYTEST: Final = (
     *("-m", "pytest", "-q", "-p", "no:cacheprovider"),
     *("--hypothesis-profile", "mutants"),
 )
-LIMITS: Final = ("prlimit", f"--as={8 << 30}", "timeout", "--kill-after=5")
-"""Memory in bytes; seconds follow. A mutant may ask for all of either."""
+MEMORY: Final = 8 << 30
+"""In bytes. A mutant may ask for all of it, or for all of the time."""
+PATIENCE: Final = 10.0
+"""Time on the clock over processor time: a busy machine stops no mutant."""
 DURATION: Final = re.compile(
     r"^ *([\d.]+)s (?:setup|call|teardown) +(.+)$", re.MULTILINE
 )
@@ -119,7 +124,7 @@ class Tree:
         code, text = self.python("-c", SHARED)
         if code:
             raise BuildError(text)
-        headers, modules, hashes = json.loads(text)
+        headers, modules, hashes, self.tables = json.loads(text)
         package = self.path / PACKAGE
         shared = sha256()
         for name, header in headers.items():
@@ -159,9 +164,20 @@ class Tree:
     def python(
         self, *arguments: str, seconds: float = 3600.0, **variables: str
     ) -> tuple[int, str]:
-        """Return exit code and output of Python in the copy."""
+        """Return exit code and output of Python in the copy.
+
+        Args:
+            arguments: of Python.
+            seconds: processor time after which it is stopped.
+            variables: of its environment.
+        """
+        limits = f"--as={MEMORY}", f"--cpu={seconds:.0f}"
+        clock = "--kill-after=5", f"{PATIENCE * seconds:.0f}"
         done = subprocess.run(
-            (*LIMITS, f"{seconds:.0f}", sys.executable, *arguments),
+            (
+                *("prlimit", *limits, "timeout", *clock),
+                *(sys.executable, *arguments),
+            ),
             cwd=self.path,
             env=os.environ
             | {

@@ -250,11 +250,12 @@ def judge(
     """Return a verdict's ``result`` and ``by``."""
     path = tree.path / PACKAGE / mutant.file
     compiled = path.suffix != ".py"
+    built = compiled or str(path) in tree.tables
     original = path.read_bytes()
     times = path.stat()
     path.write_text(text, "utf-8")
     try:
-        if tree.build() == tree.instructions and compiled:
+        if built and tree.build() == tree.instructions and compiled:
             return "none", "the same instructions"
         tests = clean.tests(path, mutant.line)
         seconds = 20.0 + 4.0 * clean.seconds(tests)
@@ -267,6 +268,8 @@ def judge(
     finally:
         path.write_bytes(original)
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+        if built:
+            tree.build()
     if code == 0:
         return "survived", ""
     failed = FAILED.search(output)
