@@ -51,8 +51,7 @@ class LevelMemory:
 
     def by_probability(self, probability: float, time_us: int) -> RiskLevel:
         """Take the *probability* at *time_us* and return the level."""
-        aim = _aim(self.level, probability)
-        return self._move(RiskLevel(aim), time_us, stays=aim >= self.level)
+        return self._move(_aim(self.level, probability), time_us)
 
     def is_sure(self, least: float, most: float) -> bool:
         """Whether all probabilities from *least* to *most* do the same.
@@ -76,28 +75,15 @@ class LevelMemory:
 
         The worst one counts, to rise and to stay.
         """
-        if not self.level and not any(
-            kelvin >= limits[0]
-            for kelvin, limits in zip(kelvins, limits_k, strict=True)
-        ):
-            return self._move(self.level, time_us, stays=True)
-        reached = max(
-            sum(kelvin >= limit for limit in limits)
+        aim = max(
+            _aim(self.level, kelvin, limits, 1.0, COOLED_K)
             for kelvin, limits in zip(kelvins, limits_k, strict=True)
         )
-        stays = any(
-            not kelvin < limits[self.level - 1] - COOLED_K
-            for kelvin, limits in zip(kelvins, limits_k, strict=True)
-        )
-        return self._move(RiskLevel(reached), time_us, stays=stays)
+        return self._move(aim, time_us)
 
-    def _move(
-        self, reached: RiskLevel, time_us: int, *, stays: bool
-    ) -> RiskLevel:
-        if reached >= self.level:
-            self.level, self.below_since_us = reached, None
-        elif stays:
-            self.below_since_us = None
+    def _move(self, aim: int, time_us: int) -> RiskLevel:
+        if aim >= self.level:
+            self.level, self.below_since_us = RiskLevel(aim), None
         elif self.below_since_us is None or self.below_since_us > time_us:
             self.below_since_us = time_us
         elif time_us - self.below_since_us >= HOLD_US:
@@ -106,14 +92,22 @@ class LevelMemory:
         return self.level
 
 
-def _aim(level: int, probability: float) -> int:
-    """Return the level that *probability* moves *level* to, sooner or later.
+def _aim(
+    level: int,
+    value: float,
+    limits: Sequence[float] = PROBABILITIES,
+    share: float = RELEASE,
+    below: float = 0.0,
+) -> int:
+    """Return the level that *value* moves *level* to, sooner or later.
 
-    By one at a time down; nan is not below: an unknown value lowers none.
+    By one at a time down, where it is less than *share* of the limit less
+    *below*; nan is not: an unknown value lowers none.
     """
-    reached = level_of(probability)
-    stays = not probability < RELEASE * PROBABILITIES[level - 1]
-    return max(reached, level if stays or not level else level - 1)
+    reached = sum(value >= limit for limit in limits)
+    if level and value < share * limits[level - 1] - below:
+        level -= 1
+    return max(reached, level)
 
 
 def level_of_margin(margin_k: float) -> RiskLevel:

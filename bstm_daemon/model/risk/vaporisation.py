@@ -55,8 +55,8 @@ kelvin a percent at most: the scale of MISCO's refractometer for DOT 3 ends at
 WATER_K: Final = 373.15
 """Boiling point of water: no fluid with water in it boils below."""
 
-VAPOUR_LOCK_K: Final = (0.0, 6.0)
-"""Range by which vapour lock begins below the boiling point."""
+VAPOUR_LOCK_K: Final = 6.0
+"""How far below the boiling point vapour lock begins at most."""
 
 DRAWS: Final = 512
 TABLE_STEP_K: Final = 1.0
@@ -180,5 +180,4 @@ def _drawn(fluid: Fluid, water: Water, shares: tuple[float, ...]) -> float:
     point_k = boiling_point_k(dry_k, wet_k, percent, slowness)
     beyond = max(percent - BEYOND_PERCENT, 0.0)
     point_k -= BEYOND_K_PERCENT * by_beyond * beyond
-    low, high = VAPOUR_LOCK_K
-    return max(point_k, WATER_K) - (low + (high - low) * by_lock)
+    return max(point_k, WATER_K) - VAPOUR_LOCK_K * by_lock

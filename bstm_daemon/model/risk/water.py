@@ -79,7 +79,7 @@ def water_measured(
     measured = max(percent, LEAST_PERCENT)
     age = _age_of(measured / CLIMATES[climate])
     grown = _uptake(age + since_years) - _uptake(age)
-    gain = max(grown, 0.0) * CLIMATES[climate]
+    gain = grown * CLIMATES[climate]
     total = measured + gain
     spread = hypot(accuracy * measured / total, AGE_SPREAD * gain / total)
     return Water(total, spread)

@@ -51,5 +51,6 @@ def test_water_lowers_the_boiling_point_of_every_grade() -> None:
 
 def test_an_unknown_grade_is_a_configuration_error() -> None:
     """The message names key, value and the known grades."""
-    with pytest.raises(ConfigError, match=r'grade = "DOT6".*DOT5\.1'):
+    known = r"DOT3, DOT4, DOT5\.1, CLASS6$"
+    with pytest.raises(ConfigError, match=f'grade = "DOT6".* {known}'):
         wet_boiling_point_k("DOT6")

@@ -106,11 +106,27 @@ def test_the_part_that_is_still_hot_holds_the_level() -> None:
 
 
 def test_what_is_not_known_lowers_no_level() -> None:
-    memory = LevelMemory(RiskLevel.HIGH)
+    """Nor a part without a temperature beside one that is cold."""
+    memory, parts = LevelMemory(RiskLevel.HIGH), LevelMemory(RiskLevel.HIGH)
+    limits = [(773.0, 873.0, 973.0)] * 2
     for second in range(200):
         level = memory.by_probability(nan, second * SECOND_US)
+        held = parts.by_temperatures((nan, 300.0), limits, second * SECOND_US)
 
-    assert level is RiskLevel.HIGH
+    assert level is held is RiskLevel.HIGH
+
+
+def test_a_disc_that_has_cooled_is_normal_again() -> None:
+    """One level a minute, and nothing rises below the first limit."""
+    memory, limits = LevelMemory(RiskLevel.HIGH), [(773.0, 873.0, 973.0)]
+    found = [
+        memory.by_temperatures([740.0], limits, second * SECOND_US)
+        for second in range(180)
+    ]
+
+    assert found[59] is RiskLevel.HIGH
+    assert found[60] is found[119] is RiskLevel.ELEVATED
+    assert found[120] is found[179] is RiskLevel.NORMAL
 
 
 def test_a_clock_set_back_does_not_hold_a_level_for_ever() -> None:

@@ -99,6 +99,13 @@ def test_what_is_known_narrows_the_distribution() -> None:
     assert widths[2] < 12.0
 
 
+def test_a_distribution_is_drawn_once() -> None:
+    """The fluid of all corners is the same and changes once a day."""
+    fluid, water = Fluid("DOT4"), water_of_age(2.0, "humid")
+
+    assert boiling(fluid, water) is boiling(Fluid("DOT4"), Water(*water))
+
+
 def test_no_number_is_no_probability() -> None:
     """An estimate that is none is not a safe one, and no crash."""
     found = boiling(Fluid("DOT3"), water_of_age(1.0, "dry"))
@@ -184,9 +191,13 @@ def test_mean_probability_is_that_of_every_temperature() -> None:
     assert found.probability(405.0) == 0.25
     assert found.probability(425.0) == 0.75
     assert found.probability(430.5) == 1.0
-    assert found.mean_probability([405.0, 425.0, 440.0]) == (
+    assert found.mean_probability([440.0, 405.0, 425.0]) == (
         pytest.approx(2.0 / 3.0)
     )
+    assert found.lowest_k == 400.0
+    assert found.mean_probability([300.0, 400.0]) == 0.0
+    assert found.mean_probability([400.0, 405.0]) == 0.125
+    assert found.mean_probability([431.0]) == found.probability(431.0) == 1.0
     assert isnan(found.mean_probability([]))
     assert isnan(found.mean_probability([405.0, float("nan")]))
     assert found.quantile(0.5) == 415.0
