@@ -11,10 +11,14 @@ from math import isnan, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 from bstm_daemon.estimate import CornerRisk, RiskLevel
-from bstm_daemon.forecast.corner_march import CornerMarch, Range, marched
+from bstm_daemon.forecast.corner_march import (
+    CornerMarch,
+    Range,
+    found_by,
+    marched,
+)
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,
-    HORIZON_S,
     NEAR_STEPS,
     Conditions,
     Course,
@@ -227,8 +231,7 @@ class CarForecast:
             if course is not None:
                 self.marched[place] = course
                 self.job = None
-                peaks_k = course.peaks_k(HORIZON_S)
-                safe_in_s = course.safe_in_s(self.boiling, PROBABILITIES[0])
+                peaks_k, safe_in_s = found_by(course, self.boiling)
                 corner.march.keep(start, peaks_k, safe_in_s)
                 self._take(place, Range(peaks_k, peaks_k, safe_in_s))
             return

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from bstm_daemon.model.risk.vaporisation import Boiling
     from bstm_daemon.native.loader import Kernel
 
-FACTORS: Final = 3.0, 2.0, 1.5, 1.2, 1.05, 1.01
-OFFSET_K: Final = 0.5
-AIR_OFFSET_K: Final = 0.3
+FACTORS: Final = 3.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02
+OFFSET_K: Final = 0.3
+AIR_OFFSET_K: Final = 0.2
 """A ceiling for later forecasts is above the rises of now by the largest of
 the factors that is of use and by an offset, so that it lasts."""
 
@@ -179,8 +179,7 @@ class CornerMarch:
         course = marched(job, steps, boiling)
         if course is not None:
             if boiling is self._boiling:
-                safe_in_s = course.safe_in_s(boiling, PROBABILITIES[0])
-                self._ceilings.keep(heat, course.peaks_k(HORIZON_S), safe_in_s)
+                self._ceilings.keep(heat, *found_by(course, boiling))
             self._raising = None
         return True
 
@@ -214,3 +213,15 @@ def marched(job: Job, steps: int, boiling: Boiling) -> Course | None:
         return course
     job.extend(LATER_STEPS)
     return marched(job, left, boiling)
+
+
+def found_by(course: Course, boiling: Boiling) -> tuple[list[float], float]:
+    """Return the peaks [K] of a complete *course* and when it is safe [s]."""
+    peaks_k = course.peaks_k(HORIZON_S)
+    if (
+        course.times_s[-1] <= HORIZON_S
+        and boiling.mean_probability(peaks_k) < PROBABILITIES[0]
+    ):
+        # so is each point of it
+        return peaks_k, 0.0
+    return peaks_k, course.safe_in_s(boiling, PROBABILITIES[0])
