@@ -20,7 +20,7 @@ bytes of the CRC and then the data id, low byte first.
 from abc import ABC, abstractmethod
 from binascii import crc_hqx
 from collections.abc import Sequence
-from enum import Enum
+from enum import Enum, auto
 from typing import Final
 
 COUNTER_COUNT: Final = 16
@@ -51,10 +51,10 @@ _TABLE: Final = bytes(_crc_of_byte(byte) for byte in range(256))
 class CheckStatus(Enum):
     """Verdict on one received frame (the distinguished Profile 2 states)."""
 
-    OK = "ok"
-    REPEATED = "repeated"
-    WRONG_SEQUENCE = "wrong sequence"
-    WRONG_CRC = "wrong crc"
+    OK = auto()
+    REPEATED = auto()
+    WRONG_SEQUENCE = auto()
+    WRONG_CRC = auto()
 
 
 def profile2_crc(data: bytes | bytearray, data_id: int) -> int:
