@@ -15,6 +15,7 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.drives import (
     Drive,
+    as_driven,
     drive_of,
     grid_inputs,
     log_events,
@@ -72,7 +73,8 @@ class Recording:
 
         (steps, corners, channels), on the steps of ``drive``.
         """
-        rows, _ = inputs_of(config, self.present, self.thin)
+        own = as_driven(config, self.drive)
+        rows, _ = inputs_of(own, self.present, self.thin)
         return _like(self.drive, rows)
 
     def heated_by(self, config: Config) -> Drive:
@@ -101,8 +103,14 @@ def read_recording(
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-    parts = log_events(path, signal_map, overrides, progress)
-    return _formed(path.name, parts, config, present_roles(signal_map))
+
+    def of(own: Config) -> Recording:
+        parts = log_events(path, signal_map, overrides, progress)
+        return _formed(path.name, parts, own, present_roles(signal_map))
+
+    found = of(config)
+    own = as_driven(config, found.drive)
+    return found if own is config else of(own)
 
 
 def recorded(
