@@ -584,3 +584,15 @@ def test_corners_without_a_model_do_not_count(count: int) -> None:
     found = _decoded(_second(Estimate(0, corners))["BSTM_Status"])
 
     assert found["CornersModelled"] == count
+
+
+def test_a_frame_taken_back_is_sent_with_the_counter_it_had() -> None:
+    """Nothing is missing for a receiver; its data stay as they were."""
+    publication = Publication(["FL"], ID_BASE, {"BSTM_Status": 6})
+    estimate = Estimate(0, {})
+    first, *_ = publication.encode_all(estimate)
+    publication.take_back([first.name])
+
+    assert publication.counters["BSTM_Status"] == 6
+    assert publication.numbered(first) == first
+    assert publication.numbered(first).data[1] & 0x0F == 8
