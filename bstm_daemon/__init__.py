@@ -12,13 +12,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bstm_daemon.api import (
-        find_gap,
-        load_config,
-        match,
-        replay,
-        simulate,
-    )
+    from bstm_daemon.api import find_gap, load_config, match, replay, simulate
 
 __version__ = version("bstm-daemon")
 

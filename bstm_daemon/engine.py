@@ -228,12 +228,7 @@ class Engine:
         times, roles, values = self._times, self._roles, self._values
         driver = self._following.advisor.roles
         for role, value in decoder.decode(
-            bus,
-            can_id,
-            extended,
-            data,
-            is_error=is_error,
-            is_remote=is_remote,
+            bus, can_id, extended, data, is_error=is_error, is_remote=is_remote
         ):
             times.append(stamp_us)
             roles.append(role)

@@ -38,10 +38,7 @@ from bstm_daemon.estimator.validity import (
     needs_of_corners,
 )
 from bstm_daemon.model.effects.catalogue import edited_inputs
-from bstm_daemon.model.effects.model import (
-    corrected,
-    corrections_by_role,
-)
+from bstm_daemon.model.effects.model import corrected, corrections_by_role
 from bstm_daemon.model.heat.memory import NEVER, SampleState
 from bstm_daemon.model.heat.sample_pass import (
     BACK,
@@ -242,10 +239,7 @@ class Estimator:
                 yield batch, member, name
 
     def advance(
-        self,
-        times_us: Ints,
-        roles: Ints,
-        values: Floats,
+        self, times_us: Ints, roles: Ints, values: Floats
     ) -> list[Block]:
         """Consume samples and march to the last one's time.
 
@@ -260,10 +254,7 @@ class Estimator:
         return list(self.blocks(times_us, roles, values))
 
     def blocks(
-        self,
-        times_us: Ints,
-        roles: Ints,
-        values: Floats,
+        self, times_us: Ints, roles: Ints, values: Floats
     ) -> Iterator[Block]:
         """As :meth:`advance`, a block at a time: a gap of hours is many.
 

@@ -182,9 +182,7 @@ def judge(
                     reasons[i] |= _INPUT_SUSPECT
                 unchecked = is_hot and discs[i] > need.unchecked_k
                 if unproven.holds(
-                    name,
-                    step_s,
-                    found=unchecked or flags & need.unproven != 0,
+                    name, step_s, found=unchecked or flags & need.unproven != 0
                 ):
                     reasons[i] |= _UNVERIFIED
                 if model_check.holds(name, step_s, found=name in strong[i]):

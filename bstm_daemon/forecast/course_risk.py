@@ -12,19 +12,9 @@ from __future__ import annotations
 from math import isnan, nan
 from typing import TYPE_CHECKING, Final
 
-from bstm_daemon.estimate import (
-    CarRisk,
-    Reason,
-    RiskLevel,
-    Validity,
-)
+from bstm_daemon.estimate import CarRisk, Reason, RiskLevel, Validity
 from bstm_daemon.estimator.blocks import validity_of
-from bstm_daemon.forecast.car_forecast import (
-    Car,
-    CarForecast,
-    Corner,
-    hottest,
-)
+from bstm_daemon.forecast.car_forecast import Car, CarForecast, Corner, hottest
 from bstm_daemon.forecast.corner_march import NOTHING_K, Start
 from bstm_daemon.forecast.march import (
     DUTY_STEPS,

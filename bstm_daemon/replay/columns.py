@@ -33,11 +33,7 @@ from bstm_daemon.estimator.state import (
     resume_state,
 )
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
-from bstm_daemon.replay.results import (
-    Part,
-    ResultsBuilder,
-    Sink,
-)
+from bstm_daemon.replay.results import Part, ResultsBuilder, Sink
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:

@@ -9,21 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import (
-    PREFIX,
-    factor_of,
-    is_change,
-    said,
-)
+from bstm_daemon.analysis.gap.changes import PREFIX, factor_of, is_change, said
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, Fit, effect_entries
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.matching.changes import value_changes
-from bstm_daemon.analysis.matching.learned import (
-    entry,
-    settings_of,
-)
+from bstm_daemon.analysis.matching.learned import entry, settings_of
 from bstm_daemon.config.estimates import ChangeConfig
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import is_composed

@@ -27,11 +27,7 @@ from bstm_daemon.analysis.identify.guessed import BY_FORCES
 from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.matcher import Match
-from bstm_daemon.analysis.matching.structure import (
-    KEPT,
-    has_grown,
-    share_left,
-)
+from bstm_daemon.analysis.matching.structure import KEPT, has_grown, share_left
 from bstm_daemon.analysis.matching.tunables import DRAG, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched, match_logs
 from bstm_daemon.bus.signals.signal_map import SignalMap

@@ -21,9 +21,7 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
-from bstm_daemon.analysis.matching.learned import (
-    known_covariance,
-)
+from bstm_daemon.analysis.matching.learned import known_covariance
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,

@@ -36,11 +36,7 @@ from bstm_daemon.analysis.gap.signatures import (
 )
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import march, model_of
-from bstm_daemon.analysis.statistics.evidence import (
-    FREE,
-    Projector,
-    fit_terms,
-)
+from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model

@@ -25,9 +25,7 @@ from bstm_daemon.analysis.statistics.evidence import (
     fit_terms,
     mean_evidence,
 )
-from bstm_daemon.analysis.statistics.series import (
-    Column,
-)
+from bstm_daemon.analysis.statistics.series import Column
 
 NOTHING: Final = 0.5
 """Probability that nothing is missing, before data."""

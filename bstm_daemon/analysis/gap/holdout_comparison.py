@@ -99,9 +99,7 @@ class Shown:
             for one in self.errors
             if self.held_out
             and has_grown(
-                one.rms_k[SCALED],
-                one.rms_k[EXTENDED],
-                noise[one.node].drift_k,
+                one.rms_k[SCALED], one.rms_k[EXTENDED], noise[one.node].drift_k
             )
         ]
         return max(

@@ -27,10 +27,7 @@ from bstm_daemon.analysis.gap.signatures import (
     sharpened,
     whitened_signature,
 )
-from bstm_daemon.analysis.statistics.evidence import (
-    Projector,
-    mean_evidence,
-)
+from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
 from bstm_daemon.analysis.statistics.series import Column
 
 LEADING: Final = 4
@@ -115,9 +112,7 @@ def _in_best_forms(
         if best:
             comparison.forms[name] = forms_of(name)[best - 1]
     return replace(
-        simulated,
-        terms_k={**simulated.terms_k, **chosen},
-        form_costs=costs,
+        simulated, terms_k={**simulated.terms_k, **chosen}, form_costs=costs
     )
 
 

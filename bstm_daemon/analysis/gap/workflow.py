@@ -33,11 +33,7 @@ from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
 from bstm_daemon.analysis.gap.searching import search, starts
-from bstm_daemon.analysis.gap.signatures import (
-    Linearised,
-    candidates,
-    sensed,
-)
+from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.analysis.identify.writing import NO_ENTRIES, Change, Entries
 from bstm_daemon.analysis.matching.learned import known_keys
 from bstm_daemon.analysis.matching.tunables import (

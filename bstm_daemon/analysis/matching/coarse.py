@@ -25,10 +25,7 @@ import numpy as np
 
 from bstm_daemon.analysis.identify.guessed import BY_FORCES
 from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
-from bstm_daemon.analysis.matching.problem import (
-    Problem,
-    whole_drives,
-)
+from bstm_daemon.analysis.matching.problem import Problem, whole_drives
 from bstm_daemon.analysis.matching.tunables import (
     BEYOND_MS,
     DRAG,

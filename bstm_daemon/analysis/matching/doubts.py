@@ -36,9 +36,7 @@ RISE_SHARE: Final = 0.05
 
 
 def doubts(
-    joint: Refinement,
-    accuracy: Accuracy,
-    errors: Errors,
+    joint: Refinement, accuracy: Accuracy, errors: Errors
 ) -> Iterator[str]:
     """Say why a part of the model may be missing, nothing where it is not."""
     known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior

@@ -286,8 +286,7 @@ def _match(
         )
     after = found.target.changed(joint.values)
     folds = _folds(
-        *(target, readings, joint, only),
-        lambda share: show(0.8 + 0.2 * share),
+        *(target, readings, joint, only), lambda share: show(0.8 + 0.2 * share)
     )
     remarks += found.remarks
     if not only:

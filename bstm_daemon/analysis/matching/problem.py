@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
-from bstm_daemon.analysis.matching.march import (
-    initial_temperatures,
-    march,
-)
+from bstm_daemon.analysis.matching.march import initial_temperatures, march
 from bstm_daemon.analysis.matching.tunables import SIDES
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.estimator.corner_model import compile_corner

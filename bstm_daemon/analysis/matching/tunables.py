@@ -24,10 +24,7 @@ from bstm_daemon.model.effects.catalogue import (
     effect_names,
     effects_of,
 )
-from bstm_daemon.model.thermal.brake_corner import (
-    cooling_beyond,
-    corner_spec,
-)
+from bstm_daemon.model.thermal.brake_corner import cooling_beyond, corner_spec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -16,12 +16,7 @@ from bstm_daemon.model.heat.learned import Learned
 from bstm_daemon.model.heat.observer_rules import STOOD_S
 from bstm_daemon.native import layout
 from bstm_daemon.native.layout import Length
-from bstm_daemon.roles import (
-    CORNERS,
-    GROUND_SPEED_ROLES,
-    ROLE_INDEX,
-    ROLES,
-)
+from bstm_daemon.roles import CORNERS, GROUND_SPEED_ROLES, ROLE_INDEX, ROLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

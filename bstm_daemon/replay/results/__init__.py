@@ -6,11 +6,7 @@ figures and curves of a report. No sink has to hold them all.
 """
 
 from bstm_daemon.replay.results.builder import ResultsBuilder
-from bstm_daemon.replay.results.files import (
-    WRITERS,
-    csv_file,
-    require_format,
-)
+from bstm_daemon.replay.results.files import WRITERS, csv_file, require_format
 from bstm_daemon.replay.results.rows import (
     Chosen,
     Collector,
