@@ -15,7 +15,6 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.drives import (
     Drive,
-    as_driven,
     drive_of,
     grid_inputs,
     log_events,
@@ -73,8 +72,7 @@ class Recording:
 
         (steps, corners, channels), on the steps of ``drive``.
         """
-        own = as_driven(config, self.drive)
-        rows, _ = inputs_of(own, self.present, self.thin)
+        rows, _ = inputs_of(config, self.present, self.thin)
         return _like(self.drive, rows)
 
     def heated_by(self, config: Config) -> Drive:
@@ -103,14 +101,8 @@ def read_recording(
         FileAccessError: it cannot be read.
         UsageError: the heat mode is ``measured``.
     """
-
-    def of(own: Config) -> Recording:
-        parts = log_events(path, signal_map, overrides, progress)
-        return _formed(path.name, parts, own, present_roles(signal_map))
-
-    found = of(config)
-    own = as_driven(config, found.drive)
-    return found if own is config else of(own)
+    parts = log_events(path, signal_map, overrides, progress)
+    return _formed(path.name, parts, config, present_roles(signal_map))
 
 
 def recorded(

@@ -63,9 +63,6 @@ SETTLING_STEP_S: Final = 20.0
 SETTLING_STEPS: Final = 60
 """Measured nodes are held so long for the others to follow."""
 
-PUSHED_N: Final = 200.0
-"""A measured external force above it pushes the car."""
-
 STEPS_A_ROW: Final = round(GRID_S * 1e6) // STEP_US
 
 SEGMENT: Final = ".log.gz"
@@ -86,7 +83,6 @@ class Drive:
     ``inputs`` has the mean; n is 0 where they were not kept. ``by_drag``
     replaces the brake power of ``inputs`` where drag is to be found.
     ``placed`` has the thermocouples, by corner and node, whose depth is known.
-    ``pushed`` is whether a measured external force pushed the car.
     """
 
     name: str
@@ -100,7 +96,6 @@ class Drive:
     speed_ms: Column = field(default_factory=lambda: np.zeros((0, 0)))
     by_drag: PowerByDrag | None = field(default=None, repr=False)
     placed: Mapping[str, Mapping[str, Placement]] = field(default_factory=dict)
-    pushed: bool = False
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -236,24 +231,9 @@ def read_drive(  # noqa: PLR0913
     )
     check_heat_inputs(str(path), drive.roles, present, config.heat.mode)
     if not estimates:
-        own = as_driven(config, drive)
-        if own is config:
-            return drive
-        return read_drive(path, own, signal_map, overrides, progress=progress)
+        return drive
     builder.finish()
     return replace(drive, estimates=_since(kept.results(), drive.start_s))
-
-
-def as_driven(config: Config, drive: Drive) -> Config:
-    """Return *config* with the heat mode that suits *drive*.
-
-    Fused heat learns of a car on the road. What pushes one on a test track is
-    measured, and as large as the brakes: there the motion alone is better.
-    """
-    if not drive.pushed or config.heat.mode != "fused":
-        return config
-    heat = config.heat.model_copy(update={"mode": "fb"})
-    return config.model_copy(update={"heat": heat})
 
 
 def log_events(
@@ -305,16 +285,13 @@ def drive_of(
     temperatures: dict[int, list[tuple[Column, Column]]] = defaultdict(list)
     seen: set[int] = set()
     first_us: int | None = None
-    pushed = False
 
     def take(events: Events, blocks: list[Block]) -> None:
-        nonlocal first_us, pushed
+        nonlocal first_us
         if first_us is None and len(events):
             first_us = int(events.time_us[0])
         roles = set(np.unique(events.role).tolist())
         seen.update(roles)
-        push_n = events.value[events.role == ROLE_INDEX["external_force"]]
-        pushed = pushed or bool((push_n > PUSHED_N).any())
         for role in THERMOCOUPLES & roles:
             own = events.role == role
             temperatures[role].append(
@@ -343,7 +320,6 @@ def drive_of(
         learned=estimator.samples.learned(),
         roles=frozenset(seen),
         speed_ms=speed_ms,
-        pushed=pushed,
     )
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.matching.drives import (
     GRID_S,
     Drive,
@@ -65,25 +64,6 @@ gear = 0
 parked = true
 ignition = false
 duration_s = 400.0
-"""
-
-
-PUSHED = """
-[drive]
-name = "pushed"
-description = "brought to speed, and a stop"
-ambient_c = 25.0
-start_c = 60.0
-propulsion = "{by}"
-thermocouple_logger = true
-
-[[segment]]
-speed_kmh = 36.0
-duration_s = 60.0
-
-[[segment]]
-speed_kmh = 0.0
-rate_ms2 = 3.0
 """
 
 
@@ -175,35 +155,6 @@ def test_a_forced_node_follows_and_is_free_in_gaps(
 
     assert found["fluid"][:100, 0] == pytest.approx(400.0)
     assert np.all(np.diff(found["fluid"][100:, 0]) < 0.0)
-
-
-def test_a_pushed_car_is_heated_by_its_motion(tmp_path: Path) -> None:
-    """What pushes it is measured; fused heat is for the other drives."""
-    config, signal_map = load_vehicle(EXAMPLE)
-    heat = config.heat.model_copy(update={"mode": "fused"})
-    fused = config.model_copy(update={"heat": heat})
-    heat = config.heat.model_copy(update={"mode": "fb"})
-    by_motion = config.model_copy(update={"heat": heat})
-    encoder = Encoder(ROOT / "dbc" / "example_vehicle.dbc")
-    found = {}
-    for by in ("engine", "push"):
-        text = PUSHED.format(by=by)
-        made = simulate(parse_drive(text, "pushed.toml"), sensors="n1", seed=4)
-        path = tmp_path / f"{by}.log"
-        write_candump(path, made, encoder)
-        found[by] = [
-            read_drive(path, one, signal_map) for one in (fused, by_motion)
-        ]
-        again = read_recording(path, fused, signal_map)
-        own = found[by][0]
-        assert np.array_equal(again.drive.inputs, own.inputs, equal_nan=True)
-        thin = again.thin_inputs_of(fused)
-        assert np.array_equal(thin, again.thin_inputs, equal_nan=True)
-
-    for by, (own, moved) in found.items():
-        same = np.array_equal(own.inputs, moved.inputs, equal_nan=True)
-        assert own.pushed == (by == "push")
-        assert same == own.pushed
 
 
 def test_variants_have_their_own_begin_and_series(
