@@ -248,8 +248,7 @@ class CourseRisk:
         A corner is linear in the draw: one that is the hottest at both ends
         is so for all of them.
         """
-        draws = self._corners[0].ensemble.now_draws if self._corners else []
-        ends = [draws.index(end(draws)) for end in (max, min) if draws]
+        ends = self._corners[0].ensemble.draw_ends if self._corners else ()
         for one in self._corners:
             if all(
                 one.now_k[end] >= other.now_k[end]

@@ -95,6 +95,9 @@ class Ensemble:
         ]
         self.now_draws = [point[0] for point in normal_draws(count, 1)]
         self._top_draw = max(self.now_draws)
+        self.draw_ends = tuple(
+            self.now_draws.index(end(self.now_draws)) for end in (max, min)
+        )
         net = program.network
         self.nodes = len(net.nodes)
         self.fluid = program.state_names.index("fluid")

@@ -268,12 +268,13 @@ class AdviceSeries:
         kept = np.flatnonzero(self._is_held[roles])
         times_us, roles, values = times_us[kept], roles[kept], values[kept]
         if np.all(np.diff(times_us) >= 0):
-            # of those between two publications only the last one counts
+            # of a role's between two publications only the last one counts
             intervals = -(times_us // -PUBLISH_US)
+            order = np.argsort(roles, kind="stable")
+            is_same = np.diff(roles[order]) == 0
+            is_same &= np.diff(intervals[order]) == 0
             counts = np.ones(len(roles), bool)
-            for role in names:
-                places = np.flatnonzero(roles == role)
-                counts[places[:-1]] = np.diff(intervals[places]) != 0
+            counts[order[:-1][is_same]] = False
             times_us, roles = times_us[counts], roles[counts]
             values = values[counts]
         self._samples += zip(

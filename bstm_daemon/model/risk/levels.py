@@ -83,7 +83,9 @@ class LevelMemory:
 
     def _move(self, aim: int, time_us: int) -> RiskLevel:
         if aim >= self.level:
-            self.level, self.below_since_us = RiskLevel(aim), None
+            if aim != self.level:
+                self.level = RiskLevel(aim)
+            self.below_since_us = None
         elif self.below_since_us is None or self.below_since_us > time_us:
             self.below_since_us = time_us
         elif time_us - self.below_since_us >= HOLD_US:
@@ -104,6 +106,9 @@ def _aim(
     By one at a time down, where it is less than *share* of the limit less
     *below*; nan is not: an unknown value lowers none.
     """
+    if value < limits[0] and not level:
+        # nearly always
+        return level
     reached = sum(value >= limit for limit in limits)
     if level and value < share * limits[level - 1] - below:
         level -= 1

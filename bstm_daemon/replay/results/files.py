@@ -21,7 +21,8 @@ from bstm_daemon.replay.results.rows import ADVICE_CODES, Part, Results, Sink
 GROUP_ROWS: Final = 4096
 """Rows of a Parquet row group: some 3 MB that are held until it is full."""
 
-ZSTD_LEVEL: Final = 9
+ZSTD_LEVEL: Final = 5
+"""Level 9 takes 3 % longer for a replay and 2 % less space."""
 
 TIMESTAMP: Final = "timestamp"
 """Column of Parquet: ``time_s`` as a date in UTC."""
