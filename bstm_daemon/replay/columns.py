@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import accumulate
 from math import inf, isinf, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
@@ -283,8 +282,11 @@ class AdviceSeries:
             values.tolist(),
             strict=True,
         )
-        stamps = [stamp_us for stamp_us, _, _ in reversed(self._samples)]
-        self._earliest_us = [*accumulate(stamps, min)][::-1]
+        if len(times_us):
+            earliest_us = np.minimum.accumulate(times_us[::-1])[::-1].tolist()
+            self._earliest_us = [
+                min(one, earliest_us[0]) for one in self._earliest_us
+            ] + earliest_us
 
     def add(self, block: Block, risks: Sequence[CarRisk]) -> list[Advice]:
         """Return the advice at each publication of *block* with its risk."""
