@@ -7,13 +7,11 @@ reasons in a table.
 """
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial, reduce
-from math import inf, isnan
+from math import inf, isfinite, isnan
 from operator import or_
 from typing import Final, NamedTuple
-
-import numpy as np
 
 from bstm_daemon.channels import (
     CORNER_PRESSURE,
@@ -154,16 +152,14 @@ def judge(
     anything = any(of_car) or any(strong) or model_check.remembers
     all_flags = reduce(or_, block.flags, 0)
     for name, (number, place, stride, group) in block.layout.modelled.items():
+        output = block.outputs[number]
         need = needs[name]
         heeded = need.any_flag
-        output = np.frombuffer(block.outputs[number]).reshape(-1, stride)
-        nodes_k = output[:, place : place + group.nodes]
-        # a nan makes both nan, which fails every comparison
-        lowest_k, highest_k = nodes_k.min(axis=1), nodes_k.max(axis=1)
-        possible = (lowest_k > LOWEST_K) & (highest_k < HIGHEST_K)
-        all_possible = bool(possible.all())
-        discs_k = nodes_k[:, group.state_names.index("disc")]
-        is_hot = bool((discs_k > need.unchecked_k).any())
+        # a column of each node: one look at each instead of one a publication
+        columns = [output[place + k :: stride] for k in range(group.nodes)]
+        all_possible = bool(block.flags) and all(map(_is_possible, columns))
+        discs = columns[group.state_names.index("disc")]
+        is_hot = max(discs, default=0.0) > need.unchecked_k
         unknown = min(block.known_from[name], len(block.flags))
         always = _UNVERIFIED if need.unverified else 0
         reasons = array("B", [always | _START_UNKNOWN] * unknown)
@@ -184,14 +180,16 @@ def judge(
                     found=of_car[i] or flags & need.remembered != 0,
                 ):
                     reasons[i] |= _INPUT_SUSPECT
-                unchecked = is_hot and bool(discs_k[i] > need.unchecked_k)
+                unchecked = is_hot and discs[i] > need.unchecked_k
                 if unproven.holds(
                     name, step_s, found=unchecked or flags & need.unproven != 0
                 ):
                     reasons[i] |= _UNVERIFIED
                 if model_check.holds(name, step_s, found=name in strong[i]):
                     reasons[i] |= _MODEL_DISAGREES
-                if not possible[i]:
+                if not all_possible and not _is_possible(
+                    [column[i] for column in columns]
+                ):
                     reasons[i] |= _IMPOSSIBLE
                 if flags & heeded or need.measured:
                     reasons[i] |= _of_inputs(block.at(i), name, need)
@@ -206,6 +204,16 @@ def _validity(lost: int, why: int, flags: int) -> Validity:
     if why & _IMPOSSIBLE or flags & lost:
         return Validity.INVALID
     return Validity.DEGRADED if why else Validity.VALID
+
+
+def _is_possible(kelvins: Sequence[float]) -> bool:
+    """Whether all *kelvins* are temperatures that a brake has."""
+    # nan fails every comparison, but min and max may pass it over
+    return (
+        isfinite(sum(kelvins))
+        and min(kelvins) > LOWEST_K
+        and max(kelvins) < HIGHEST_K
+    )
 
 
 def _of_inputs(now: Instant, corner: str, need: Needs) -> int:

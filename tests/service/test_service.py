@@ -21,7 +21,7 @@ import can
 import pytest
 from cantools.database.can import Database
 
-from bstm_daemon.bus.output.e2e import Profile2Checker
+from bstm_daemon.bus.output.e2e import CheckStatus, Profile2Checker
 from bstm_daemon.bus.output.layout import (
     ADVICE_OFFSET,
     own_ids,
@@ -219,11 +219,11 @@ def test_a_drive_is_published_and_ends_not_available(
             continue
         checker = Profile2Checker(frame.data_ids)
         verdicts = [
-            checker.check(m.data).value
+            checker.check(m.data)
             for m in peer.heard
             if m.arbitration_id == ID_BASE + frame.id_offset
         ]
-        assert set(verdicts) == {"ok"}
+        assert set(verdicts) == {CheckStatus.OK}
     assert {"service_started", "publishing_started"} <= set(lines.names())
     document = read(tmp_path / "car.state").document
     assert document is not None
