@@ -36,9 +36,10 @@ RATES_HZ: Final = {
     "WheelSpeeds": 125,
     "BrakePressure": 125,
     "Inertial": 125,
-    "BrakeTorque": 40,
+    "BrakeTorque": 30,
     "Body": 40,
     "ExternalForce": 10,
+    "Satellites": 10,
     "Ambient": 2,
     "ThermocouplesA_FL": 2,
     "ThermocouplesB_FL": 2,
@@ -167,7 +168,7 @@ def _values(
     phase = at_s % 90.0
     speed_ms: Floats = np.interp(phase, _CYCLE_S, _CYCLE_MS)
     stopping = (phase > 65.0) & (phase < 75.0)
-    if name.startswith("WheelSpeed") or name == "VehicleSpeed":
+    if name.startswith("WheelSpeed") or name in {"VehicleSpeed", "GnssSpeed"}:
         return speed_ms * 3.6
     if name.startswith("Pressure"):
         return np.where(stopping, 28.0, 0.0)
