@@ -237,11 +237,13 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
     braked = [time_s > 0.0 for time_s in run.m.on_time[: run.corners]]
     wheel_pressures = all(run.valid(role) for role in run.pressure_role)
     # a foot that only rests on the pedal brakes by a pressure that is too low
-    # to count as heat
+    # to count as heat; without a switch it may do so whenever the pressure is
+    # not up
     travel_m = run.reading(_TRAVEL)
     brakes = now.brake_switch > 0.0 or any(braked)
     rests = travel_m <= PEDAL_REST and brake_n < LEAST_BRAKE_N
     pressed = brakes and not rests
+    light = rests if brakes else isnan(now.brake_switch)
     partial = pressed and not all(braked) and any(braked)
     return Step(
         dt_s=dt_s,
@@ -251,7 +253,7 @@ def _describe(run: Inputs, now: Readings, flags: int) -> Step:
         drive=m.sum_drive / dt_s if whole else nan,
         drag=m.sum_drag / dt_s,
         brake_n=brake_n,
-        light_n=light_n if brakes and rests else 0.0,
+        light_n=light_n if light else 0.0,
         pressure_pa=highest,
         brake_switch=now.brake_switch,
         lateral=max(yaw, side),

@@ -103,12 +103,14 @@ static void describe(const Inputs *p, const Readings *now, int64_t flags,
         if (!inputs_valid(p, p->pressure_role[c])) s->wheel_pressures = 0;
     }
     /* a foot that only rests on the pedal brakes by a pressure that is too
-       low to count as heat */
+       low to count as heat; without a switch it may do so whenever the
+       pressure is not up */
     const double travel_m = inputs_reading(p, ROLE_BRAKE_PEDAL_TRAVEL);
     const int brakes = now->brake_switch > 0.0 || some;
     const int rests = travel_m <= PEDAL_REST && s->brake_n < LEAST_BRAKE_N;
     s->pressed = brakes && !rests;
-    s->light_n = brakes && rests ? light_n : 0.0;
+    const int light = brakes ? rests : isnan(now->brake_switch);
+    s->light_n = light ? light_n : 0.0;
     s->torque_known = inputs_valid(p, ROLE_POWERTRAIN_TORQUE);
     s->on_stand = !s->pressed && p->apart;
     s->wrong_scale = motion_checks_wrong_scale(p->checks.m);

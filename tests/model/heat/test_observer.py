@@ -254,6 +254,30 @@ def test_what_the_resting_foot_brakes_is_no_bias(
     assert found == pytest.approx(bias, abs=0.012)
 
 
+@pytest.mark.parametrize("resting_n", [160.0, 300.0])
+def test_a_light_pressure_without_a_switch_is_no_bias(
+    kernel: Kernel | None, fused: Callable[..., Run], resting_n: float
+) -> None:
+    """Up to 1 bar is no heat, but brakes: it is taken off."""
+    driver = Driver(Truth(friction=1.0))
+    pressure = resting_n / (4.0 * PER_PA)
+    assert pressure < 1e5
+    samples = []
+    for at, role, value in driver.town(24):
+        now = value
+        if role == "primary_pressure":
+            now = max(value, pressure)
+        elif role == "acceleration_longitudinal":
+            now = value - (resting_n / 2500.0 if value > -1.0 else 0.0)
+        if role != "brake_switch":
+            samples.append((at, role, now))
+    run = fused(kernel).feed(samples)
+
+    found = run.of_car("accel_bias_ms2")[-1]
+    assert found == pytest.approx(0.2, abs=0.015)
+    assert run.of_car("friction_scale")[-1] == pytest.approx(1.0, rel=0.02)
+
+
 def test_a_resting_foot_may_press_one_circuit_alone(
     kernel: Kernel | None,
     start: Callable[..., Run],
