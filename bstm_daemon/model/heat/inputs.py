@@ -16,7 +16,7 @@ from bstm_daemon.model.heat.memory import NEVER, UNKNOWN
 from bstm_daemon.model.heat.motion_checks import stand_shown, unproven
 from bstm_daemon.model.heat.observer import Observer
 from bstm_daemon.model.heat.readings import Readings
-from bstm_daemon.roles import GROUND_SPEED_ROLES, MEASURED_NODES, ROLE_INDEX
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -365,10 +365,11 @@ class Inputs:
         return flags | FLAGS["speed_unproven"] * self._unproven()
 
     def _unproven(self) -> bool:
-        """Whether nothing has shown yet that the speeds' scale is right."""
-        if not self.mapped(_ACCELERATION) or any(
-            self.valid(role) for role in GROUND_SPEED_ROLES
-        ):
+        """Whether no change of speed was compared with the accelerometer.
+
+        A satellite speed is no substitute: it does not check the latter.
+        """
+        if not self.mapped(_ACCELERATION):
             return False
         pressed_j = 0.0
         for c in range(self.corners):

@@ -255,12 +255,11 @@ void inputs_heat_sources(const Inputs *p, int *source, int *at_risk)
     }
 }
 
-/* Whether nothing has shown yet that the speeds' scale is right. */
+/* Whether no change of speed was compared with the accelerometer. A satellite
+   speed is no substitute: it does not check the latter. */
 static int unproven(const Inputs *p)
 {
     if (!inputs_mapped(p, ROLE_ACCELERATION_LONGITUDINAL)) return 0;
-    for (int i = 0; i < GROUND_SPEEDS; i++)
-        if (inputs_valid(p, GROUND_SPEED_ROLES[i])) return 0;
     double pressed_j = 0.0;
     for (int c = 0; c < p->corners; c++) pressed_j += p->m->total_ff[c];
     const double braked_j = p->m->total_fb;

@@ -379,8 +379,8 @@ BRISK = [(10.0, 5.0, 5.0, 0.0), (5.0, 5.0, 20.0, 3.0), (40.0, 20.0, 20.0, 0.0)]
     [
         # 0.4 MJ of braking, and no change of speed
         (CONSTANT, (), "at 0.4 MJ"),
-        # a satellite knows the scale
-        (CONSTANT, ("gnss_speed",), None),
+        # a satellite knows the speed, not what the accelerometer reads
+        (CONSTANT, ("gnss_speed",), "at 0.4 MJ"),
         # one brisk start has shown it
         (BRISK, (), None),
         # all speeds leap, the car does not
