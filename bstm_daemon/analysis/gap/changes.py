@@ -62,26 +62,27 @@ KINDS: Final[dict[str, Kind]] = {
 class Trial:
     """A candidate: ``direction`` (p,) in the logarithms for strength 1.
 
-    Or the ``effect`` on the heat that the model has, and whose strength is
-    another.
+    Or the ``effects`` on the heat that the model has, by corner, and whose
+    strengths are others.
     """
 
     name: str
     direction: Column
-    effect: EffectConfig | None = None
+    effects: tuple[EffectConfig, ...] = ()
 
     def effects_at(self, strength: float) -> list[EffectConfig]:
-        """Return the effect with a change of *strength*, if it is one.
+        """Return the effects with a change of *strength*, if it is one.
 
-        At its bound where that is beyond what physics allows.
+        At their bound where that is beyond what physics allows.
         """
-        if self.effect is None:
-            return []
-        bounds = effect_class(self.effect.name).parameters()[0]
-        value = strength_of(self.effect) * np.exp(STEP * strength)
-        value = np.clip(value, bounds.lower, bounds.upper)
-        parameters = {**self.effect.parameters, "strength": float(value)}
-        return [self.effect.model_copy(update={"parameters": parameters})]
+        found = []
+        for one in self.effects:
+            bounds = effect_class(one.name).parameters()[0]
+            value = strength_of(one) * np.exp(STEP * strength)
+            value = np.clip(value, bounds.lower, bounds.upper)
+            parameters = {**one.parameters, "strength": float(value)}
+            found.append(one.model_copy(update={"parameters": parameters}))
+        return found
 
 
 def is_change(name: str) -> bool:
@@ -132,11 +133,13 @@ def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:
             np.array_equal(direction, one.direction) for one in found.values()
         ):
             found[PREFIX + name] = Trial(PREFIX + name, direction)
+    on_heat: dict[str, list[EffectConfig]] = {}
     for effect in effects_of(config):
-        on_heat = effect_class(effect.name).kind == "heat"
-        if on_heat and strength_of(effect) != 0.0:
-            name = f"{PREFIX}{EFFECT}.{effect.name}.strength"
-            found[name] = Trial(name, np.zeros(len(keys)), effect)
+        if effect_class(effect.name).kind == "heat" and strength_of(effect):
+            on_heat.setdefault(effect.name, []).append(effect)
+    for of, effects in on_heat.items():
+        name = f"{PREFIX}{EFFECT}.{of}.strength"
+        found[name] = Trial(name, np.zeros(len(keys)), tuple(effects))
     return found
 
 

@@ -303,7 +303,7 @@ def _of_values_k(
 ) -> dict[str, list[Column]]:
     """Return what changes of values do at each strength, marched at once."""
     start, trials = comparison.start, comparison.trials
-    own = [name for name, one in trials.items() if one.effect is None]
+    own = [name for name, one in trials.items() if not one.effects]
     points = [
         comparison.placed(start, {name: strength})[0]
         for name in own
@@ -328,7 +328,7 @@ def _terms_k(
     form: Mapping[str, float] | None = None,
 ) -> Column | None:
     trial = comparison.trials.get(name)
-    scaled = not strengths and trial is not None and trial.effect is not None
+    scaled = not strengths and trial is not None and bool(trial.effects)
     strengths = strengths or _strengths(name)
     changes = []
     for strength in strengths[-1:] if scaled else strengths:

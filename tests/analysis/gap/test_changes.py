@@ -127,6 +127,15 @@ def test_an_effect_on_the_heat_that_the_model_has_can_change(
     # no further than physics allows
     (bound,) = found.effects_at(4.0)
     assert bound.parameters["strength"] == 5.0
+    # a structure has it for each corner, and all of them change
+    whole = config.thermal.model_copy(update={"structure": "extended"})
+    extended = config.model_copy(update={"thermal": whole})
+    found = trials(extended, ())["change.effect.friction_fade.strength"]
+    changed = {one.corner: one.parameters for one in found.effects_at(1.0)}
+    assert changed == {
+        one.name: {"strength": pytest.approx(np.exp(STEP))}
+        for one in config.corner
+    }
     off = with_effects(config, effect_entries({"friction_fade": 0.0}))
     assert not trials(off, ())
     assert "friction_fade" in candidates(off)

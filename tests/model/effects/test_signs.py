@@ -302,7 +302,9 @@ def test_drag_is_torque_times_turns(corner: Make) -> None:
     """35 % of 5 Nm when cold, all of it hot, shared as friction heat."""
     speed = 20.0
     for pad_k, share in ((293.15, 0.35), (403.15, 1.0), (600.0, 1.0)):
-        there = corner("residual_drag")
+        factor = 1.7
+        thermal = {"heat_partition_correction_factor": factor}
+        there = corner("residual_drag", thermal=thermal)
         there.warm(**dict.fromkeys(there.nodes(), pad_k))
         there.drive(0.25, speed_ms=speed)
         sources = there.ledger().sources
@@ -310,7 +312,19 @@ def test_drag_is_torque_times_turns(corner: Make) -> None:
             sources["residual_drag_disc"] + sources["residual_drag_pads"]
         ) / 0.25
         assert found == pytest.approx(share * 5.0 * speed / 0.33, rel=2e-2)
-        assert sources["residual_drag_pads"] < sources["residual_drag_disc"]
+        pads = sources["residual_drag_pads"] / (0.25 * found)
+        assert pads == pytest.approx((1.0 - there.spec.disc_share) * factor)
+
+
+def test_pads_that_rub_are_heated_by_the_disc(corner: Make) -> None:
+    """100 W/m2K: hot pads all of it, cold ones 35 %."""
+    for pad_k, share in ((293.15, 0.35), (403.15, 1.0)):
+        there = corner("residual_drag", contact_w_m2k=100.0)
+        nodes = dict.fromkeys(there.nodes(), pad_k)
+        there.warm(**nodes | {"disc": pad_k + 200.0})
+        there.drive(0.25, speed_ms=0.0)
+        found = there.ledger().links["rubbing"] / (0.25 * 200.0 * PADS_M2)
+        assert found == pytest.approx(share * 100.0, rel=0.02)
 
 
 def test_hub_heat_follows_the_turns_late(corner: Make) -> None:

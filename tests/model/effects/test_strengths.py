@@ -51,7 +51,7 @@ PROPORTIONAL = {
     "pad_conductivity": ("rise",),
     "pad_pyrolysis": ("heat_j",),
     "pad_wear": ("worn_m",),
-    "residual_drag": ("torque_nm",),
+    "residual_drag": ("torque_nm", "contact_w_m2k"),
     "shim_contact": ("loss",),
     "speed_dependent_convection": ("conductance_w_k",),
     "wet_disc": ("evaporation_w_k",),
