@@ -7,7 +7,7 @@ of each where a level is not sure without.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isnan, nan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 from bstm_daemon.estimate import CornerRisk, RiskLevel
@@ -33,7 +33,7 @@ from bstm_daemon.model.risk.levels import (
 from bstm_daemon.model.thermal.kernel import Batch
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from bstm_daemon.estimate import Validity
     from bstm_daemon.forecast.corner_march import Start
@@ -146,11 +146,11 @@ class CarForecast:
 
     ``starts`` and ``ranges`` are one a corner; ``at_stop``: the car had just
     stopped; ``wait`` counts the publications until it is published, as many
-    as if all members were marched. ``estimates`` are the marches of all
-    corners as they are estimated, parked and then on duty; ``places`` are the
-    corners whose members are still to be looked at; ``least_k`` is what was
-    known before they were; ``marched`` are the courses of the members, by
-    place.
+    as if all members were marched. ``estimates`` are the marches of corners
+    as they are estimated, parked and then on duty, with the name of each
+    lane; ``places`` are the corners whose members are still to be looked at;
+    ``least_k`` is what was known before they were; ``marched`` are the courses
+    of the members, by place.
     """
 
     car: Car
@@ -160,7 +160,7 @@ class CarForecast:
     boiling: Boiling
     at_stop: bool
     wait: int
-    estimates: list[Job] = field(default_factory=list)
+    estimates: list[tuple[tuple[str, ...], Job]] = field(default_factory=list)
     places: list[int] = field(init=False)
     least_k: list[list[float]] = field(init=False)
     published: bool = False
@@ -176,36 +176,61 @@ class CarForecast:
             key=lambda place: -max(self.ranges[place].most_k),
         )
 
-    def begin_estimates(self, *, duty: bool = False) -> None:
-        """Begin the marches of the estimates, parked or on *duty*.
+    def begin_parked(self) -> None:
+        """Begin the marches of all corners as they are estimated, parked."""
+        self._begin_estimates(
+            {
+                corner.name: (start, [Conditions(start.duty.ambient_k)])
+                for corner, start in self._each()
+            },
+            NEAR_STEPS,
+        )
 
-        On duty each corner is marched with its power and without.
+    def begin_duty(self) -> None:
+        """Begin those on duty, each with its power and without.
+
+        Of a corner that is out of reach of boiling nothing is marched: the
+        bound is told.
         """
-        of = {
-            corner.name: start
-            for corner, start in zip(
-                self.car.corners, self.starts, strict=True
+        within = {}
+        for corner, start in self._each():
+            most_k = corner.march.on_duty_k(
+                start, is_present=self.car.is_present(corner)
             )
-        }
+            if most_k <= self.boiling.lowest_k:
+                corner.on_duty = most_k, inf
+            else:
+                free = start.duty._replace(power_w=0.0)
+                within[corner.name] = start, [start.duty, free]
+        self._begin_estimates(within, DUTY_STEPS)
+
+    def _each(self) -> Iterator[tuple[Corner, Start]]:
+        return zip(self.car.corners, self.starts, strict=True)
+
+    def _begin_estimates(
+        self,
+        of: Mapping[str, tuple[Start, list[Conditions]]],
+        steps: Sequence[float],
+    ) -> None:
+        """Begin marches of corners by name, each on its conditions."""
         self.estimates = []
         for group in self.car.groups:
             lanes = [
-                (name, conditions)
+                (name, of[name][0].state, conditions)
                 for name in group
-                for conditions in (
-                    (of[name].duty, of[name].duty._replace(power_w=0.0))
-                    if duty
-                    else (Conditions(of[name].duty.ambient_k),)
-                )
+                if name in of
+                for conditions in of[name][1]
             ]
-            self.estimates.append(
-                Job.of_corners(
-                    self.car.batch(tuple(name for name, _ in lanes)),
-                    [of[name].state for name, _ in lanes],
-                    [conditions for _, conditions in lanes],
-                    DUTY_STEPS if duty else NEAR_STEPS,
-                )
-            )
+            if lanes:
+                names, states, conditions = zip(*lanes, strict=True)
+                batch = self.car.batch(names)
+                job = Job.of_corners(batch, states, conditions, steps)
+                self.estimates.append((names, job))
+
+    @property
+    def estimates_finished(self) -> bool:
+        """Whether the marches of corners as they are estimated are."""
+        return all(job.finished for _, job in self.estimates)
 
     def march_members(self, steps: int) -> None:
         """March those of the next corner that needs it."""
@@ -296,13 +321,12 @@ class CarForecast:
         self.places.remove(place)
 
     def courses(self) -> dict[str, list[Course]]:
-        """Return the courses of each corner, as they are estimated."""
+        """Return the courses that were marched of corners, as estimated."""
         found: dict[str, list[Course]] = {}
-        for group, job in zip(self.car.groups, self.estimates, strict=True):
+        for names, job in self.estimates:
             course = job.course()
-            share = len(course.fluid_k) // len(group)
-            for place, series in enumerate(course.fluid_k):
-                found.setdefault(group[place // share], []).append(
+            for name, series in zip(names, course.fluid_k, strict=True):
+                found.setdefault(name, []).append(
                     Course(course.times_s, [series])
                 )
         return found

@@ -1,4 +1,4 @@
-"""Proven upper bounds of the fluid's peak after parking.
+"""Proven upper bounds of the fluid's peak, parked and on duty.
 
 A *ceiling* is a march of all members from a state of the corner. While no
 member starts hotter, at any node or with warmer air, none of them gets hotter
@@ -12,17 +12,31 @@ dT_i/dt <= dU_i/dt: T never passes U (Kamke's theorem). Warmer air is a node
 that is warmer. Every member's own numbers are used, and nothing in it is of
 a brake, so that effects which add nodes are covered. With all of U as hot as
 the hottest node of T, nothing flows: no member gets hotter than that either.
+
+On duty no order is needed: let M be the hottest of all nodes and of the air at
+first, and E the heat of the nodes above M, sum_i of the integral of C_i from M
+to T_i > M. What one of these nodes conducts to another stays in E, and to all
+that is at M or below it only gives, as no conductance is negative; so E rises
+by the brake's heat at most, and the fluid's rise above M by that heat over the
+least capacity of the fluid.
 """
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise, product
-from math import isfinite, isnan
+from math import inf, isfinite, isnan, nan, prod
 from typing import Final, NamedTuple
 
 from bstm_daemon.estimator.blocks import channels_at_rest
 from bstm_daemon.forecast.members import Ensemble, Heat
-from bstm_daemon.model.thermal.network import Factor, Link, Network
+from bstm_daemon.model.thermal.network import (
+    Factor,
+    Link,
+    Network,
+    Node,
+    Source,
+    value,
+)
 
 MARGIN_K: Final = 1.0
 """Covers the error of the marches in coarse steps."""
@@ -40,6 +54,9 @@ _REST: Final = {
     for name, value in channels_at_rest(0.0).items()
     if name != "ambient_k"
 }
+
+_POWER: Final = value("brake_power_w")
+_NEVER_NEGATIVE: Final = value("speed_ms"), value("brake_on")
 
 
 class Ceiling(NamedTuple):
@@ -63,6 +80,12 @@ class Ceilings:
         self._ensemble = ensemble
         self.is_ordered = is_ordered(ensemble.program.network)
         """Whether there may be any."""
+        fluid_j_k = ensemble.least_fluid_j_k
+        self._rise_k_j = (
+            heated_share(ensemble.program.network) / fluid_j_k
+            if fluid_j_k
+            else inf
+        )
         self._kept: list[Ceiling] = []
 
     def clear(self) -> None:
@@ -91,6 +114,25 @@ class Ceilings:
             self._kept.append(lowest)
         return lowest
 
+    def on_duty_k(self, heat: Heat, power_w: float, until_s: float) -> float:
+        """Return what no member's fluid exceeds up to *until_s* on a duty.
+
+        Args:
+            heat: what the members start from.
+            power_w: mean of the brake's, without its spread.
+            until_s: end of the duty, whatever else acts.
+        """
+        top = self._ensemble.highest(heat)
+        if isnan(sum(top.rises_k)):
+            return nan
+        heat_j = until_s * power_w * self._ensemble.most_power(heat.factor)
+        return (
+            top.ambient_k
+            + max(0.0, *top.rises_k)
+            + self._rise_k_j * heat_j
+            + MARGIN_K
+        )
+
     def keep(
         self, heat: Heat, peaks_k: Sequence[float], safe_in_s: float
     ) -> None:
@@ -114,20 +156,48 @@ def is_ordered(net: Network) -> bool:
     False wherever that does not follow from its parts one by one: a source
     that acts at rest, or a flow that depends on more than its two ends.
     """
-    boundaries = {"ambient_k", None}
     return (
-        all(
-            not node.factors
-            and (
-                node.boundary_input in boundaries
-                or isnan(_REST.get(node.boundary_input or "", 0.0))
-            )
-            for node in net.nodes
-        )
+        all(map(_is_plain, net.nodes))
         and all(
             _product(source.factors, _REST) == 0.0 for source in net.sources
         )
         and all(map(_is_rising, net.links))
+    )
+
+
+def heated_share(net: Network) -> float:
+    """Return the most that a joule of brake power heats the nodes by [J].
+
+    Infinite wherever something else may heat them.
+    """
+    # constants and tables of a conductance are never negative
+    is_bounded = all(map(_is_plain, net.nodes)) and all(
+        factor.table is not None
+        or factor.kind == "radiation"
+        or factor in _NEVER_NEGATIVE
+        for link in net.links
+        for factor in link.factors
+    )
+    return sum(map(_heated_share, net.sources)) if is_bounded else inf
+
+
+def _heated_share(source: Source) -> float:
+    others = [one for one in source.factors if one != _POWER]
+    tables = [one.table.values for one in others if one.table is not None]
+    if (
+        len(others) != len(source.factors) - 1
+        or len(tables) != len(others)
+        or any(min(values) < 0.0 for values in tables)
+    ):
+        return inf
+    return max(source.gain, 0.0) * prod(map(max, tables))
+
+
+def _is_plain(node: Node) -> bool:
+    """Whether *node* has a capacity of its own, and the air as boundary."""
+    return not node.factors and (
+        node.boundary_input in {"ambient_k", None}
+        or isnan(_REST.get(node.boundary_input or "", 0.0))
     )
 
 

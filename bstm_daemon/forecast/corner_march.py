@@ -113,6 +113,14 @@ class CornerMarch:
         most_k = [*map(min, most_k, found.peaks_k)]
         return Range(least_k, most_k, found.safe_in_s)
 
+    def on_duty_k(self, start: Start, *, is_present: bool) -> float:
+        """Return what no fluid exceeds on the duty of *start*, no march."""
+        if not is_present:
+            return inf
+        return self._ceilings.on_duty_k(
+            self._heat(start), start.duty.power_w, HORIZON_S
+        )
+
     def begin(self, start: Start) -> Job:
         """Return a march of the members from *start*, parked."""
         return self._begin(start.state, start.duty.ambient_k, start.factor)

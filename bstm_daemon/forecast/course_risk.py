@@ -300,27 +300,28 @@ class CourseRisk:
             at_stop=at_stop,
             wait=self._portions(PARKED_STEPS, steps),
         )
-        self._forecast.begin_estimates()
+        self._forecast.begin_parked()
 
     def _work(self, forecast: CarForecast, steps: int, *, duty: bool) -> None:
         """Compute one publication's portion of *forecast*."""
         forecast.wait -= 1
-        for job in forecast.estimates:
+        for _, job in forecast.estimates:
             job.advance(max(steps * self.members // job.lanes, 1))
         if not forecast.published:
             forecast.march_members(steps)
             if (
                 forecast.wait < 0
                 and not forecast.places
-                and all(job.finished for job in forecast.estimates)
+                and forecast.estimates_finished
             ):
                 self._commit(forecast)
                 forecast.wait = self._portions(DUTY_STEPS, steps)
-                forecast.begin_estimates(duty=True)
-                if not duty:
+                if duty:
+                    forecast.begin_duty()
+                else:
                     self._forecast = None
             return
-        if all(job.finished for job in forecast.estimates):
+        if forecast.estimates_finished:
             if forecast.estimates:
                 self._commit_duty(forecast)
                 forecast.estimates = []
@@ -394,7 +395,8 @@ class CourseRisk:
         """Publish the forecast if the duty continues."""
         lanes = forecast.courses()
         for corner, start in zip(self._corners, forecast.starts, strict=True):
-            corner.on_duty = _on_duty(corner, start, *lanes[corner.name])
+            if corner.name in lanes:
+                corner.on_duty = _on_duty(corner, start, *lanes[corner.name])
         self._published = None
 
     def _record(self, codes: list[Validity]) -> CarRisk:

@@ -113,6 +113,11 @@ class Ensemble:
             replace(program, floats=_changed(program, places, draw, spread))
             for draw in self.draws
         ]
+        table = net.nodes[self.fluid].capacity_table
+        self.least_fluid_j_k = min(
+            one.floats[self.fluid] for one in self.programs
+        ) * (1.0 if table is None else min(table.values))
+        """The least capacity of a member's fluid [J/K]."""
 
     def batch(self, kernel: Kernel | None) -> Batch:
         """Return the members as a batch of *kernel*, made once."""
@@ -167,6 +172,11 @@ class Ensemble:
         return Heat(
             0.0, heat.ambient_k + width_k, rises_k, [0.0] * len(heat.own_k)
         )
+
+    def most_power(self, factor: float) -> float:
+        """Return the highest share that a member has of a duty's power."""
+        width = factor * self.spread.duty_heat
+        return 1.0 + width * self._farthest["duty_heat"]
 
     def is_below(self, heat: Heat, other: Heat) -> bool:
         """Whether no member starts hotter from *heat* than from *other*.

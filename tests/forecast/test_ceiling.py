@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
-from math import inf, nan
+from math import inf, isnan, nan
 from operator import le
 from typing import TYPE_CHECKING
 
@@ -21,20 +22,30 @@ from bstm_daemon.forecast.ceiling import (
     KEPT,
     MARGIN_K,
     Ceilings,
+    heated_share,
     is_ordered,
 )
 from bstm_daemon.forecast.corner_march import CornerMarch, Range, Start
-from bstm_daemon.forecast.march import HORIZON_S, Conditions, parked_course
+from bstm_daemon.forecast.march import (
+    DUTY_STEPS,
+    HORIZON_S,
+    Conditions,
+    Job,
+    _inputs,
+    parked_course,
+)
 from bstm_daemon.forecast.members import Ensemble, Spread
 from bstm_daemon.model.effects.catalogue import effect_names
 from bstm_daemon.model.risk.vaporisation import Boiling
 from bstm_daemon.model.thermal.network import (
     Link,
     Source,
+    difference,
     mean,
     radiation,
     value,
 )
+from bstm_daemon.model.thermal.program import compile_network
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.native.loader import load_kernel
 
@@ -154,6 +165,170 @@ def test_no_member_exceeds_it(
         # the hottest node, without a march
         _, most_k = ensemble.range_k(heat)
         assert all(map(le, peaks_k, [one + MARGIN_K for one in most_k]))
+
+
+FURTHER_HEAT = {
+    *("ambient_heat_soak", "hub_heat", "pad_pyrolysis", "residual_drag"),
+    *("disc_capacity_hot", "pad_conductivity", "wet_disc"),
+}
+"""Effects with sources beside the brake."""
+
+
+def duty_peaks_k(
+    ensemble: Ensemble, state: list[float], duty: Conditions, factor: float
+) -> list[float]:
+    """Return the highest fluid of each member on *duty* with its power."""
+    width = factor * ensemble.spread.duty_heat
+    air_k = ensemble.ambients_k(duty.ambient_k, factor)
+    own = [
+        duty._replace(
+            ambient_k=air,
+            power_w=duty.power_w * max(1.0 + width * draw["duty_heat"], 0.0),
+        )
+        for air, draw in zip(air_k, ensemble.draws, strict=True)
+    ]
+    job = Job(
+        ensemble.batch(KERNEL),
+        ensemble.fluid,
+        ensemble.states(state, duty.ambient_k, factor),
+        _inputs(own),
+        DUTY_STEPS,
+    )
+    job.advance(len(DUTY_STEPS))
+    return job.course().peaks_k(HORIZON_S)
+
+
+@needs_kernel
+@settings(max_examples=40, deadline=None)
+@given(
+    structure=st.sampled_from(["thesis", "extended"]),
+    place=st.integers(0, 3),
+    effects=st.lists(
+        st.sampled_from(sorted(set(effect_names()) - FURTHER_HEAT)),
+        max_size=2,
+        unique=True,
+    ),
+    factor=st.sampled_from([1.0, 2.0]),
+    duty=st.builds(
+        Conditions,
+        ambient_k=st.floats(250.0, 315.0),
+        speed_ms=st.floats(0.0, 50.0),
+        pressure_pa=st.floats(-1e5, 8e6),
+        brake_on=st.floats(0.0, 1.0),
+        power_w=st.floats(0.0, 60.0),
+    ),
+    data=st.data(),
+)
+def test_no_member_on_duty_exceeds_its_heat_over_the_fluid(
+    structure: str,
+    place: int,
+    effects: list[str],
+    factor: float,
+    duty: Conditions,
+    data: st.DataObject,
+) -> None:
+    key = structure, place, tuple(sorted(effects))
+    try:
+        program = corner(*key)
+    except ConfigError:
+        assume(False)
+    ensemble = members(*key)
+    count = len(program.network.nodes)
+    hot = st.floats(duty.ambient_k - 5.0, 500.0)
+    nodes_k = data.draw(st.lists(hot, min_size=count, max_size=count))
+    state = state_of(program, nodes_k)
+
+    peaks_k = duty_peaks_k(ensemble, state, duty, factor)
+    heat = ensemble.heat(state, duty.ambient_k, factor)
+    most_k = Ceilings(ensemble).on_duty_k(heat, duty.power_w, HORIZON_S)
+    assert max(peaks_k) <= most_k < inf
+
+
+@needs_kernel
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_a_fluid_that_keeps_all_heat_comes_close_to_its_bound(
+    factor: float,
+) -> None:
+    """By 1 K and the hottest start; with 3 % less heat the bound is wrong."""
+    net = thesis()
+    net = replace(
+        net,
+        nodes=tuple(
+            node
+            if node.name == "fluid"
+            else replace(node, capacity_j_k=1e-3 * node.capacity_j_k)
+            for node in net.nodes
+        ),
+        links=tuple(
+            replace(link, conductance_w_k=0.0)
+            if "ambient" in {link.a, link.b}
+            else link
+            for link in net.links
+        ),
+    )
+    program = compile_network(net)
+    spread = Spread()._replace(heat=0.0, fluid=0.0, fluid_floor_k=0.0)
+    ensemble = Ensemble(program, 8, spread._replace(fluid_capacity=0.0))
+    state = state_of(program, [AIR_K] * len(net.nodes))
+    duty = Conditions(AIR_K, 20.0, 1e6, 1.0, 150.0)
+
+    peaks_k = duty_peaks_k(ensemble, state, duty, factor)
+    ceilings = Ceilings(ensemble)
+    heat = ensemble.heat(state, AIR_K, factor)
+    most_k = ceilings.on_duty_k(heat, 150.0, HORIZON_S)
+    assert max(peaks_k) > AIR_K + 120.0
+    assert max(peaks_k) <= most_k
+    least_k = ceilings.on_duty_k(heat, 0.97 * 150.0, HORIZON_S)
+    width_k = max(ensemble.ambients_k(0.0, factor))
+    assert max(peaks_k) > least_k - MARGIN_K - width_k
+
+
+def test_what_no_number_is_bounds_nothing() -> None:
+    ceilings = Ceilings(members("thesis", 0, ()))
+    heat = at(members("thesis", 0, ()), 330.0)
+    heat.rises_k[1] = nan
+    assert isnan(ceilings.on_duty_k(heat, 0.0, HORIZON_S))
+
+
+def test_what_else_may_heat() -> None:
+    """Unbounded wherever it does not follow from the parts one by one."""
+    found = {}
+    for effect in effect_names():
+        with suppress(ConfigError):
+            found[effect] = heated_share(
+                corner("extended", 0, (effect,)).network
+            )
+    assert {name for name, share in found.items() if share == inf} == (
+        FURTHER_HEAT & found.keys()
+    )
+    assert heated_share(thesis()) == pytest.approx(1.0)
+
+    power, table = value("brake_power_w"), Table(0.0, 1.0, (0.5, 0.2))
+    negative = Table(0.0, 1.0, (0.5, -0.2))
+    sources = {
+        0.1: Source("more", "fluid", 0.2, (power, value("brake_on", table))),
+        0.0: Source("taken", "fluid", -0.2, (power,)),
+    }
+    for more, source in sources.items():
+        share = heated_share(thesis().with_source(source))
+        assert share == pytest.approx(1.0 + more)
+    for factors in (
+        (),
+        (power, power),
+        (value("brake_on", table),),
+        (power, value("brake_on")),
+        (power, value("brake_on", negative)),
+        (difference("brake_power_w", "ambient_k"),),
+    ):
+        source = Source("new", "fluid", -1.0, factors)
+        assert heated_share(thesis().with_source(source)) == inf
+    for one in (difference("disc", "fluid"), value("pressure_pa")):
+        link = Link("new", "disc", "fluid", 1.0, (one,))
+        assert heated_share(thesis().with_link(link)) == inf
+    filled = thesis().edit_node(
+        "fluid", lambda n: replace(n, factors=(value("brake_on"),))
+    )
+    assert heated_share(filled) == inf
 
 
 def at(ensemble: Ensemble, kelvin: float, air_k: float = AIR_K) -> Heat:

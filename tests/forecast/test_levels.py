@@ -2,7 +2,7 @@
 
 What keeps members from being marched must change no level, no warning and no
 advice at any publication, and not the time that a message tells to wait. Of a
-duty no members are marched: its time is compared with theirs.
+duty no members are marched: its time, or the bound, is compared with theirs.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast import course_risk
 from bstm_daemon.forecast.car_forecast import CarForecast, Corner
+from bstm_daemon.forecast.corner_march import CornerMarch
 from bstm_daemon.forecast.course_risk import CourseRisk
 from bstm_daemon.forecast.march import DUTY_STEPS, Job, _inputs
 from bstm_daemon.native.loader import load_kernel
@@ -96,7 +97,9 @@ def test_nothing_that_is_decided_depends_on_which_members_are_marched(
     assert not differ
 
 
-def members_on_duty(corner: Corner, start: Start) -> tuple[float, float]:
+def members_on_duty(
+    corner: Corner | CornerMarch, start: Start
+) -> tuple[float, float]:
     """Return when a tenth of the members' vapour is there, and the most."""
     ensemble, duty, factor = corner.ensemble, start.duty, start.factor
     width = factor * ensemble.spread.duty_heat
@@ -131,9 +134,11 @@ def members_on_duty(corner: Corner, start: Start) -> tuple[float, float]:
 def test_the_time_on_duty_is_that_of_its_members(
     log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To first order, within 90 s; nothing is missed."""
+    """To first order, within 90 s; nothing is missed, nor by the bound."""
     pairs: list[tuple[float, float, float]] = []
+    bounded: list[float] = []
     first_order = course_risk._on_duty
+    bound = CornerMarch.on_duty_k
 
     def compared(
         corner: Corner, start: Start, *of: Any
@@ -142,10 +147,20 @@ def test_the_time_on_duty_is_that_of_its_members(
         pairs.append((told_s, *members_on_duty(corner, start)))
         return peak_k, told_s
 
+    def looked_at(
+        march: CornerMarch, start: Start, *, is_present: bool
+    ) -> float:
+        most_k = bound(march, start, is_present=is_present)
+        if most_k <= start.boiling.lowest_k:
+            bounded.append(members_on_duty(march, start)[1])
+        return most_k
+
     monkeypatch.setattr(course_risk, "_on_duty", compared)
+    monkeypatch.setattr(CornerMarch, "on_duty_k", looked_at)
     decided(log, "cold")
 
     assert pairs
+    assert max(bounded, default=0.0) == 0.0
     assert log.stem != QUICK or sum(0.0 < own_s < inf for _, own_s, _ in pairs)
     for told_s, own_s, most in pairs:
         if own_s == inf:

@@ -289,6 +289,34 @@ def test_a_forecast_speaks_of_half_an_hour() -> None:
     assert cold.duty_in_s == inf
 
 
+def test_on_duty_only_a_corner_within_reach_is_marched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the other the bound is told: its hottest node, as it has no power."""
+    marched = []
+    begin = march.Job.of_corners.__func__
+
+    def begun(cls: type, batch: Any, states: Any, *of: Any) -> march.Job:
+        marched.append((len(states), of[1]))
+        job: march.Job = begin(cls, batch, states, *of)
+        return job
+
+    monkeypatch.setattr(march.Job, "of_corners", classmethod(begun))
+    watched = Watched("FL", "FR")
+    block = watched.at_rest(3)
+    watched.put(block, "FL", disc=330.0)
+    watched.put(block, "FR", fluid=390.0, **HOT_PADS_K)
+    found = watched.monitor.add(block)[-1].corners
+
+    parked, duty = (2, march.NEAR_STEPS), (2, march.DUTY_STEPS)
+    assert marched == [parked, duty]
+    assert found["FL"].duty_in_s == inf
+    # three deviations of 3 % and a margin of 1 K above 330 K
+    assert 330.0 < found["FL"].duty_peak_k < 336.0
+    assert found["FR"].duty_peak_k > 390.0
+    assert found["FR"].duty_in_s < inf
+
+
 def test_a_fluid_that_goes_on_to_warm_is_told_up_to_the_horizon(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -302,6 +330,11 @@ def test_a_fluid_that_goes_on_to_warm_is_told_up_to_the_horizon(
         corner_march.CornerMarch,
         "range_k",
         lambda *_, is_present: Range([0.0] * 64, [inf] * 64),  # noqa: ARG005
+    )
+    monkeypatch.setattr(
+        corner_march.CornerMarch,
+        "on_duty_k",
+        lambda *_, is_present: inf,  # noqa: ARG005
     )
     watched = Watched("FL")
     found = watched.monitor.add(watched.at_rest(3))[-1].corners["FL"]
