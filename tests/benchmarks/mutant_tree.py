@@ -195,8 +195,8 @@ class Tree:
         )
         return done.returncode, done.stdout
 
-    def clean(self, tests: Sequence[str]) -> Clean:
-        """Run *tests* without a mutant.
+    def clean(self, tests: Sequence[str], sources: Sequence[str]) -> Clean:
+        """Run *tests* without a mutant; see which lines of *sources* they do.
 
         Raises:
             RuntimeError: one fails.
@@ -204,9 +204,14 @@ class Tree:
         coverage = self.path / f"coverage-of-{'-'.join(tests)}".replace(
             "/", "-"
         )
+        folders = {
+            f"--cov={PACKAGE}/{source.partition('*')[0].rpartition('/')[0]}"
+            for source in sources
+            if source.endswith(".py")
+        }
         code, text = self.python(
             *(*PYTEST, "-vv", "--durations=0", "--durations-min=0"),
-            *(f"--cov={PACKAGE}", "--cov-context=test", "--cov-report="),
+            *(*sorted(folders), "--cov-context=test", "--cov-report="),
             *("--cov-fail-under=0", *tests),
             COVERAGE_FILE=str(coverage),
             PYTHONDONTWRITEBYTECODE="",

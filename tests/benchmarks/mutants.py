@@ -34,7 +34,6 @@ from mutant_tree import (
     PYTEST,
     ROOT,
     BuildError,
-    Clean,
     Tree,
 )
 from run import show
@@ -54,6 +53,8 @@ SCORE: Final = 0.9
 SEED: Final = "1"
 NOT_FOUND: Final = 4
 """Pytest's exit code where a test that was named is not there."""
+UNTIMED_S: Final = 300.0
+"""Processor time of tests that no clean run timed [s]."""
 FAILED: Final = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 RULES: Final = {
     ".py": ["universal.rules", "python.rules"],
@@ -64,31 +65,37 @@ RULES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """What is mutated, below the package, and its tests, below ``tests``."""
+    """What is mutated, below the package, and its tests, below ``tests``.
+
+    Those of *beside* run where the room's own find nothing.
+    """
 
     sources: tuple[str, ...]
     tests: tuple[str, ...]
+    beside: tuple[str, ...] = ()
 
 
 def _mirrored(*names: str, beside: tuple[str, ...] = ()) -> dict[str, Room]:
     return {
-        name: Room((f"{name}/**/*.py",), (name, *beside)) for name in names
+        name: Room((f"{name}/**/*.py",), (name,), beside) for name in names
     }
 
 
+GOLDEN: Final = ("golden",)
 ROOMS: Final = {
     **_mirrored("forecast", "bus/output", "bus/signals", "model/risk"),
     **_mirrored("model/wear", "model/effects"),
-    **_mirrored("model/heat", "model/thermal", beside=("golden",)),
-    **_mirrored("estimator", beside=("golden",)),
+    **_mirrored("model/heat", "model/thermal", beside=GOLDEN),
+    **_mirrored("estimator", beside=("model/wear", *GOLDEN)),
     **_mirrored("analysis/gap", "analysis/matching"),
     "service state": Room(
         ("service/state_*.py", "service/persistence.py"), ("service",)
     ),
-    "native/heat": Room(("native/heat/*.[ch]",), ("model/heat", "golden")),
+    "native/heat": Room(("native/heat/*.[ch]",), ("model/heat",), GOLDEN),
     "native/thermal": Room(
         ("native/thermal/*.[ch]", "native/python/*.c"),
-        ("model/thermal", "golden"),
+        ("model/thermal",),
+        GOLDEN,
     ),
     "native/bus": Room(
         ("native/bus/*.[ch]",), ("bus/signals", "bus/logs", "bus/live")
@@ -214,7 +221,10 @@ def judged(
     tree: Tree, room: Room, count: int, known: dict[str, Verdict]
 ) -> dict[Mutant, Verdict]:
     """Return *count* mutants of *room* with what became of them."""
-    tests = [f"tests/{test}" for test in room.tests]
+    own, beside = (
+        [f"tests/{test}" for test in tests]
+        for tests in (room.tests, room.beside)
+    )
     found: dict[Mutant, Verdict] = {}
     clean = None
     for mutant in mutants(room):
@@ -230,10 +240,24 @@ def judged(
         key = sha256(f"{mutant.file}\n{text}".encode()).hexdigest()
         verdict = known.get(key)
         if verdict is None or hashed(verdict.on) != verdict.hashed:
-            clean = clean or tree.clean(tests)
-            result, by = judge(tree, clean, mutant, text)
+            result, by = "survived", ""
+            if (
+                verdict
+                and "::" in verdict.by
+                and (ROOT / verdict.on[0]).is_file()
+            ):  # the same test finds it quickly
+                runs = [([verdict.by], UNTIMED_S)]
+                result, by = judge(tree, mutant, text, runs)
+            if result == "survived":
+                clean = clean or tree.clean(own, room.sources)
+                place = tree.path / PACKAGE / mutant.file
+                tests = clean.tests(place, mutant.line)
+                runs = [(tests, 20.0 + 4.0 * clean.seconds(tests))]
+                if beside:
+                    runs.append((beside, UNTIMED_S))
+                result, by = judge(tree, mutant, text, runs)
             # what one test finds is found while that test stands
-            on = [PACKAGE, *tests] if result == "survived" else []
+            on = [PACKAGE, *own, *beside] if result == "survived" else []
             if "::" in by:
                 on = [by.partition("::")[0]]
             verdict = known[key] = Verdict(key, result, by, on, hashed(on))
@@ -245,24 +269,29 @@ def judged(
 
 
 def judge(
-    tree: Tree, clean: Clean, mutant: Mutant, text: str
+    tree: Tree,
+    mutant: Mutant,
+    text: str,
+    runs: Sequence[tuple[Sequence[str], float]],
 ) -> tuple[str, str]:
-    """Return a verdict's ``result`` and ``by``."""
+    """Return a verdict's ``result`` and ``by``.
+
+    *runs* are tests with their processor time [s], until one finds *mutant*.
+    """
     path = tree.path / PACKAGE / mutant.file
     compiled = path.suffix != ".py"
     built = compiled or str(path) in tree.tables
     original = path.read_bytes()
     times = path.stat()
     path.write_text(text, "utf-8")
+    code, output = 0, ""
     try:
         if built and tree.build() == tree.instructions and compiled:
             return "none", "the same instructions"
-        tests = clean.tests(path, mutant.line)
-        seconds = 20.0 + 4.0 * clean.seconds(tests)
-        code, output = tree.python(*PYTEST, "-x", *tests, seconds=seconds)
-        if code == NOT_FOUND:  # names of tests come from what is mutated
-            files = dict.fromkeys(test.partition("::")[0] for test in tests)
-            code, output = tree.python(*PYTEST, "-x", *files, seconds=seconds)
+        for tests, seconds in runs:
+            code, output = _tested(tree, tests, seconds)
+            if code:
+                break
     except BuildError:
         return ("none" if compiled else "killed"), "the build"
     finally:
@@ -274,6 +303,17 @@ def judge(
         return "survived", ""
     failed = FAILED.search(output)
     return "killed", failed[1] if failed else f"exit code {code}"
+
+
+def _tested(
+    tree: Tree, tests: Sequence[str], seconds: float
+) -> tuple[int, str]:
+    """Return exit code and output of *tests* up to the first that fails."""
+    code, output = tree.python(*PYTEST, "-x", *tests, seconds=seconds)
+    if code == NOT_FOUND:  # names of tests come from what is mutated
+        files = dict.fromkeys(test.partition("::")[0] for test in tests)
+        code, output = tree.python(*PYTEST, "-x", *files, seconds=seconds)
+    return code, output
 
 
 def mutants(room: Room) -> Iterator[Mutant]:
