@@ -233,6 +233,8 @@ def test_a_clock_set_late_corrects_a_car_that_stood(
 
     for node, kelvin in right.state("FL").items():
         assert wrong.state("FL")[node] == pytest.approx(kelvin, abs=0.05)
+    # no speed came yet: the hole begins where the car was parked
+    assert wrong.unseen.since_us == -parked_s * SECOND
     bound = right.start.states()["FL"]
     for node, kelvin in bound.items():
         found_k = wrong.start.states()["FL"][node]
@@ -314,11 +316,12 @@ def test_impossibles_begin_anew(config: Config) -> None:
 def test_what_is_no_state_is_refused_whole(
     config: Config, change: dict[str, Any], words: str
 ) -> None:
-    estimator = hot_car(config)
+    estimator = Estimator(config, PRESENT)
     before = export_state(estimator)
+    document = export_state(hot_car(config)) | change
 
     with pytest.raises(StateError, match=words):
-        restore_state(estimator, before | change, resume=True)
+        restore_state(estimator, document, resume=True)
 
     assert export_state(estimator) == before
 

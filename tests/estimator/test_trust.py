@@ -251,7 +251,7 @@ def test_limits_are_those_of_linings() -> None:
 def test_a_long_stand_leaves_nothing() -> None:
     """Neither a debt of time nor a credit."""
     trust = trust_of()
-    held(trust, [True] * 200)
+    trust.count(20.0)
     trust.park(1e6)
     saved = trust.export()
     for key in ("_held_s", "_found_s"):

@@ -401,6 +401,15 @@ def test_a_clock_set_back_within_a_hole(config: Config) -> None:
     assert drive.validity() == Validity.DEGRADED
 
 
+def test_within_an_hour_a_clock_is_believed(config: Config) -> None:
+    """What was hot when the hole began has cooled in it."""
+    drive = Drive(config).go(900.0).go(20.0, 20.0, 5e6)
+    begun = drive.nodes_k()
+    drive.hole(3000.0).go(0.02)
+    assert drive.estimator.unseen.driven == 1
+    assert drive.nodes_k()["pad_front"] < begun["pad_front"] - 200.0
+
+
 def test_a_night_is_one(config: Config) -> None:
     """Parked, by the clocks; then the car drives off."""
     drive = Drive(config).descend(300.0).go(2.0, 0.0).restart(12 * HOUR_S)

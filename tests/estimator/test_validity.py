@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from itertools import groupby
-from math import isclose
+from math import isclose, nan
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -19,6 +19,7 @@ from bstm_daemon.estimate import (
     Validity,
 )
 from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.estimator.validity import _is_possible
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -573,3 +574,9 @@ def test_a_drum_is_published_as_not_available() -> None:
     assert frames["BSTM_RL_Temperatures"].data[1] >> 4 == (
         Validity.NOT_AVAILABLE
     )
+
+
+def test_a_temperature_is_above_200_k_and_below_1800_k() -> None:
+    for kelvin in (200.0, 1800.0, 1e9, nan):
+        assert not _is_possible([300.0, kelvin])
+    assert _is_possible([200.1, 1799.9])

@@ -14,6 +14,7 @@ from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.verified import (
     MATCH,
     THERMOCOUPLES,
+    is_compared,
     unverified_inputs,
     unverified_of_car,
     verified_by,
@@ -163,6 +164,8 @@ def test_a_thermocouple_verifies_its_own_corner(
         Input.SPEED: (THERMOCOUPLES,),
         Input.PRESSURE: (THERMOCOUPLES,),
     }
+    # not every structure has a caliper
+    assert not is_compared("ff", ["temp_fl_caliper"], "FL")
 
 
 def matched(*nodes: str, corner: str = "FL") -> dict[str, object]:

@@ -393,7 +393,7 @@ def test_wear_that_is_none_is_refused_whole(car: Config, wear: Any) -> None:
     document = export_state(Estimator(car, PRESENT)) | {"wear": wear}
     before = estimator.state("FL")
 
-    with pytest.raises(StateError):
+    with pytest.raises(StateError, match=r"^wear"):
         restore_state(estimator, document, resume=False)
 
     assert estimator.state("FL") == before
