@@ -86,7 +86,10 @@ ROOMS: Final = {
     **_mirrored("forecast", "bus/output", "bus/signals", "model/risk"),
     **_mirrored("model/wear", "model/effects"),
     **_mirrored("model/heat", "model/thermal", beside=GOLDEN),
-    **_mirrored("estimator", beside=("model/wear", *GOLDEN)),
+    **_mirrored(
+        "estimator",
+        beside=("model/wear", "model/effects/test_inputs.py", *GOLDEN),
+    ),
     **_mirrored("analysis/gap", "analysis/matching"),
     "service state": Room(
         ("service/state_*.py", "service/persistence.py"), ("service",)
