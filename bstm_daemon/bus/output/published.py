@@ -91,8 +91,7 @@ class PublishedDecoder:
 
 
 def _physical(signal: Signal, raw: int) -> float:
-    is_quantity = signal.choices.get(signal.error) == "error"
-    if not is_quantity:
+    if not signal.is_quantity:
         return raw
     if raw == signal.not_available:
         return nan

@@ -9,7 +9,12 @@ from typing import Any
 import pytest
 from cantools.database.can import Database, Message
 
-from bstm_daemon.bus.output.layout import CORNERS, Frame, published_frames
+from bstm_daemon.bus.output.layout import (
+    CORNERS,
+    LAYOUT_VERSION,
+    Frame,
+    published_frames,
+)
 
 ROOT = Path(__file__).parents[3]
 ID_BASE = 0x5B0
@@ -134,6 +139,8 @@ def test_document_names_every_frame_with_offset_and_signals() -> None:
         for signal in frame.signals:
             place = f"{signal.start}", f"{signal.length}"
             assert any(row[:3] == (signal.name, *place) for row in rows)
+    version = f"version of this layout, {LAYOUT_VERSION}"
+    assert ("LayoutVersion", "16", "4", version) in rows
 
 
 def test_document_has_the_rule_of_the_data_ids() -> None:
