@@ -92,7 +92,12 @@ ROOMS: Final = {
     ),
     **_mirrored("analysis/gap", "analysis/matching"),
     "service state": Room(
-        ("service/state_*.py", "service/persistence.py"), ("service",)
+        ("service/state_*.py", "service/persistence.py"),
+        tuple(
+            f"service/test_{name}.py"
+            for name in ("state_file", "persistence", "persistence_values")
+        ),
+        ("service",),
     ),
     "native/heat": Room(("native/heat/*.[ch]",), ("model/heat",), GOLDEN),
     "native/thermal": Room(
