@@ -83,9 +83,9 @@ def _mirrored(*names: str, beside: tuple[str, ...] = ()) -> dict[str, Room]:
 
 GOLDEN: Final = ("golden",)
 ROOMS: Final = {
-    **_mirrored("forecast", "bus/output", "bus/signals", "model/risk"),
+    **_mirrored("bus/output", "bus/signals", "model/risk"),
     **_mirrored("model/wear", "model/effects"),
-    **_mirrored("model/heat", "model/thermal", beside=GOLDEN),
+    **_mirrored("forecast", "model/heat", "model/thermal", beside=GOLDEN),
     **_mirrored(
         "estimator",
         beside=("model/wear", "model/effects/test_inputs.py", *GOLDEN),

@@ -465,6 +465,8 @@ def test_what_keeps_no_order() -> None:
     assert [name for name, ordered in found.items() if not ordered] == [
         *("steep", "another node", "another input")
     ]
+    cut = Link("new", "disc", "fluid", 0.0, tables["steep"])
+    assert is_ordered(net.with_link(cut))
     heated = Source("engine", "fluid", 5.0, (value("ambient_k"),))
     assert not is_ordered(net.with_source(heated))
     filled = net.edit_node(

@@ -13,7 +13,7 @@ import pytest
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
-from bstm_daemon.forecast.members import Ensemble, Spread
+from bstm_daemon.forecast.members import Ensemble, Heat, Spread
 from bstm_daemon.model.thermal.program import Program, same_structure
 
 
@@ -164,3 +164,25 @@ def test_no_member_starts_outside_its_range(corner: Program) -> None:
     unknown = ensemble.heat([nan] * wide, 295.0, 1.0)
     assert all(map(isnan, chain(*ensemble.range_k(unknown))))
     assert not ensemble.is_below(unknown, heat)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_a_start_is_below_where_no_draw_makes_it_hotter(
+    corner: Program, factor: float
+) -> None:
+    """By the farthest draws of the heat and of the fluid alone."""
+    ensemble = Ensemble(corner, 64, Spread())
+    heat, fluid = (
+        factor * max(abs(draw[axis]) for draw in ensemble.draws)
+        for axis in ("heat", "fluid")
+    )
+    shared = len(ensemble.heat([300.0] * ensemble.nodes, 290.0, factor).own_k)
+
+    def start(rise_k: float, own_k: float) -> Heat:
+        return Heat(factor, 290.0, [rise_k] * ensemble.nodes, [own_k] * shared)
+
+    most_k = (1.0 - 0.03 * heat) * 10.0 / fluid
+    for own_k, is_below in ((0.99 * most_k, True), (1.01 * most_k, False)):
+        for way in (own_k, -own_k):
+            found = ensemble.is_below(start(90.0, 0.0), start(100.0, way))
+            assert found is is_below

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import replace
-from math import inf, isnan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,6 +16,7 @@ from bstm_daemon.files import shipped_file
 from bstm_daemon.forecast import corner_march, course_risk, march
 from bstm_daemon.forecast.car_forecast import CarForecast
 from bstm_daemon.forecast.corner_march import Range
+from bstm_daemon.forecast.course_risk import REFRESH_US
 from bstm_daemon.forecast.fluid import FluidKnowledge
 from bstm_daemon.forecast.march import (
     HORIZON_S,
@@ -612,3 +613,55 @@ def test_members_that_decide_no_level_are_not_marched(
     )
 
     assert [forecast.is_sure(i) for i in (0, 1)] == sure
+
+
+@pytest.mark.parametrize(
+    ("marched", "bound", "ahead", "age_us", "asked"),
+    [
+        # its own march is there: wherever it is of use
+        (True, False, 0.0, 0, ["of use"]),
+        (True, True, 0.5, 0, ["of use"]),
+        # of the bound, too, for the time until it is safe, now and then
+        (False, True, 0.5, None, ["always"]),
+        (False, True, nan, None, ["always"]),
+        (False, True, 0.5, REFRESH_US, ["always"]),
+        (False, True, 0.5, REFRESH_US - 1, []),
+        (False, True, 0.0, None, []),
+        (False, False, 0.5, None, []),
+    ],
+)
+def test_when_a_march_is_begun_for_later_forecasts(
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    marched: bool,
+    bound: bool,
+    ahead: float,
+    age_us: int | None,
+    asked: list[str],
+) -> None:
+    course = Watched("FL").monitor.course
+    (corner,) = course._corners
+    corner.ahead, course._is_bound = ahead, bound
+    ours = corner.march
+    ours.raised_us = None if age_us is None else START_US - age_us
+    found = []
+
+    def raise_ceiling(_start: Any, _most_k: Any, is_of_use: Any) -> bool:
+        found.append("always" if is_of_use is None else "of use")
+        return True
+
+    monkeypatch.setattr(ours, "raise_ceiling", raise_ceiling)
+    boiling = FluidKnowledge(car("FL").fluid).boiling(START_US)
+    forecast: Any = CarForecast(
+        *(course._marched, START_US, [None], [Range([0.0], [inf])], boiling),
+        at_stop=False,
+        wait=0,
+    )
+    forecast.marched = {0: None} if marched else {}
+
+    course._raise_ceiling(forecast, 0)
+
+    assert found == asked
+    assert course._raising == [ours] * len(asked)
+    if asked:
+        assert ours.raised_us == START_US
