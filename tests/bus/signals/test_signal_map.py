@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.bus.signals import signal_map
 from bstm_daemon.bus.signals.dbc_text import DbcDefect
 from bstm_daemon.bus.signals.extraction import Condition, FrameKey, Output
@@ -113,6 +114,30 @@ def test_degrees_become_kelvin(compile_map: Compile) -> None:
 
     assert (output.gain, output.bias) == (1.0, 273.15)
     assert output.conditions == (Condition(1, frozenset({2})),)
+
+
+@pytest.mark.parametrize(
+    ("id_base", "taken"),
+    [
+        (256, True),
+        (256 - BLOCK_IDS + 1, True),
+        (257, False),
+        (256 - BLOCK_IDS, False),
+    ],
+)
+def test_an_id_that_is_read_is_not_for_our_frames(
+    compile_map: Compile, id_base: int, *, taken: bool
+) -> None:
+    """A standard one of the same bus: an extended 256 is another."""
+    brake = compile_map(primary_pressure=source("BRAKE", "pressure", "bar"))
+    body = compile_map(ambient_temperature=source("BODY", "ambient", "degC"))
+
+    problems = brake.taken_ids(0, id_base)
+    assert [("id 0x100 of message 'BRAKE'" in one) for one in problems] == (
+        [True] * taken
+    )
+    assert brake.taken_ids(1, id_base) == []
+    assert body.taken_ids(0, id_base) == []
 
 
 @pytest.mark.parametrize(
