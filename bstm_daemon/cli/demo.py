@@ -206,8 +206,8 @@ GROUP: Final = "239.74.163.2"
 CYCLE_S: Final = 0.005
 _PAGE: Final = ("view", "--open", "--listen", "127.0.0.1:0")
 
-PATIENCE_S: Final = 10.0
-"""A process that was asked to end by the terminal itself needs less."""
+PATIENCE_S: Final = 60.0
+"""The terminal asked the display to end; a busy machine may take its time."""
 
 
 def run_live(folder: Path, drive: str, *, page: bool = False) -> int:
@@ -228,7 +228,9 @@ def run_live(folder: Path, drive: str, *, page: bool = False) -> int:
     driven = simulate(load_drive(drive))
     options = {"port": _free_port(), "hop_limit": 0}
     for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, lambda *_: sys.exit(0))
+    # a script's background starts what ignores it; service and display do not
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # bstm as it is started by hand, with python-can's options of the bus
     command = [sys.executable, "-m", "bstm_daemon.cli.main"]
     env = os.environ | {"CAN_CONFIG": json.dumps(options)}
@@ -249,19 +251,20 @@ def run_live(folder: Path, drive: str, *, page: bool = False) -> int:
         display = subprocess.Popen(  # noqa: S603
             [*command, *(_PAGE if page else ["watch"]), "-c", car], env=env
         )
-        ended = None
+        ended, patience_s = None, 0.0
         try:
             _send(driven, bus, (service, display))
             ended = service.poll()
         except KeyboardInterrupt:
-            pass  # the terminal's: service and display had it too
+            # the terminal's: service and display had it too
+            patience_s = PATIENCE_S
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             # first: who ends this does not always wait
             service.terminate()
             # the display gives the terminal back before it ends
             with suppress(subprocess.TimeoutExpired):
-                display.wait(PATIENCE_S if ended is None else 0.0)
+                display.wait(patience_s)
             display.terminate()
             for process in (display, service):
                 process.wait()
