@@ -123,11 +123,11 @@ class EmergencyAssist(Machine):
                 sure = UNSURE
         if not isfinite(measured):
             return 0.0
-        expected = self._per_torque * sum(
-            self._torques[name].torque_nm(pressure_pa)
-            for name, pressure_pa in now.pressures_pa.items()
-            if isfinite(pressure_pa)
-        )
+        torque_nm = 0.0
+        for name, pressure_pa in now.pressures_pa.items():
+            if isfinite(pressure_pa):
+                torque_nm += self._torques[name].torque_nm(pressure_pa)
+        expected = self._per_torque * torque_nm
         share = 1.0 - exp(-dt_s / SMOOTHING_S)
         self._expected += share * (expected - self._expected)
         self._measured += share * (measured - self._measured)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bstm_daemon.config.sections import Config
-    from bstm_daemon.estimator.blocks import Instant
+    from bstm_daemon.estimator.blocks import Block, Instant
     from bstm_daemon.estimator.estimator import Estimator
     from bstm_daemon.estimator.memory import SavedState
     from bstm_daemon.forecast.corner_march import CornerMarch
@@ -126,7 +126,11 @@ class CourseRisk:
         self._ahead = nan
         self.away = nan
         """Probability that vapour formed while the computer was off."""
-        self._codes: list[int] = []
+        self._block: Block | None = None
+        self._codes: tuple[int, ...] = ()
+        """The corners' validity at the last publication; that of all of
+        ``_block`` is ``_codes_of``."""
+        self._codes_of: list[tuple[int, ...]] = []
         self._published: CarRisk | None = None
         self._raising: list[CornerMarch] = []
 
@@ -181,7 +185,10 @@ class CourseRisk:
             self._work(self._forecast, steps, duty=duty)
         elif self._raising and not self._raising[0].work_ahead(steps):
             del self._raising[0]
-        codes = [block.validity[corner.name][i] for corner in self._corners]
+        if block is not self._block:
+            of = [block.validity[corner.name] for corner in self._corners]
+            self._block, self._codes_of = block, [*zip(*of, strict=True)]
+        codes = self._codes_of[i]
         if self._published is None or codes != self._codes:
             self._codes = codes
             self._published = self._record([*map(validity_of, codes)])

@@ -99,8 +99,8 @@ def test_nothing_that_is_decided_depends_on_which_members_are_marched(
 
 def members_on_duty(
     corner: Corner | CornerMarch, start: Start
-) -> tuple[float, float]:
-    """Return when a tenth of the members' vapour is there, and the most."""
+) -> dict[float, float]:
+    """Return the members' probability of vapour by the time on duty [s]."""
     ensemble, duty, factor = corner.ensemble, start.duty, start.factor
     width = factor * ensemble.spread.duty_heat
     air_k = ensemble.ambients_k(duty.ambient_k, factor)
@@ -122,21 +122,19 @@ def members_on_duty(
     )
     job.advance(len(DUTY_STEPS))
     course = job.course()
-    risks = [
-        course.probability(i, start.boiling)
-        for i in range(len(course.times_s))
-    ]
-    at = next((i for i, risk in enumerate(risks) if risk >= 0.1), None)
-    return inf if at is None else course.times_s[at], max(risks)
+    return {
+        time_s: course.probability(i, start.boiling)
+        for i, time_s in enumerate(course.times_s)
+    }
 
 
 @each_drive
 def test_the_time_on_duty_is_that_of_its_members(
     log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To first order, within 90 s; nothing is missed, nor by the bound."""
-    pairs: list[tuple[float, float, float]] = []
-    bounded: list[float] = []
+    """To first order: what it misses is hardly more than a tenth."""
+    told: list[tuple[float, dict[float, float]]] = []
+    bounded = [0.0]
     first_order = course_risk._on_duty
     bound = CornerMarch.on_duty_k
 
@@ -144,7 +142,7 @@ def test_the_time_on_duty_is_that_of_its_members(
         corner: Corner, start: Start, *of: Any
     ) -> tuple[float, float]:
         peak_k, told_s = first_order(corner, start, *of)
-        pairs.append((told_s, *members_on_duty(corner, start)))
+        told.append((told_s, members_on_duty(corner, start)))
         return peak_k, told_s
 
     def looked_at(
@@ -152,18 +150,20 @@ def test_the_time_on_duty_is_that_of_its_members(
     ) -> float:
         most_k = bound(march, start, is_present=is_present)
         if most_k <= start.boiling.lowest_k:
-            bounded.append(members_on_duty(march, start)[1])
+            bounded.extend(members_on_duty(march, start).values())
         return most_k
 
     monkeypatch.setattr(course_risk, "_on_duty", compared)
     monkeypatch.setattr(CornerMarch, "on_duty_k", looked_at)
     decided(log, "cold")
 
-    assert pairs
-    assert max(bounded, default=0.0) == 0.0
-    assert log.stem != QUICK or sum(0.0 < own_s < inf for _, own_s, _ in pairs)
-    for told_s, own_s, most in pairs:
-        if own_s == inf:
-            assert told_s == inf or most > 0.09
+    assert max(bounded) == 0.0
+    assert len(told) + len(bounded) > 1
+    assert log.stem != QUICK or sum(0.0 < at_s < inf for at_s, _ in told)
+    for told_s, risks in told:
+        own_s = next((t for t, risk in risks.items() if risk >= 0.1), inf)
+        if told_s == inf:
+            assert max(risks.values()) <= 0.135
         else:
-            assert abs(told_s - own_s) <= 90.0
+            assert 0.07 <= risks[told_s] <= 0.28
+            assert own_s == inf or abs(told_s - own_s) <= 150.0

@@ -59,7 +59,6 @@ VAPOUR_LOCK_K: Final = 6.0
 """How far below the boiling point vapour lock begins at most."""
 
 DRAWS: Final = 512
-TABLE_STEP_K: Final = 1.0
 
 _STANDARD: Final = NormalDist()
 
@@ -84,13 +83,17 @@ class Boiling:
         self._points = sorted(points_k)
         self._low = self._points[0]
         count = len(self._points)
-        size = int((self._points[-1] - self._low) / TABLE_STEP_K) + 2
-        table = [
-            bisect_right(self._points, self._low + i * TABLE_STEP_K) / count
+        size = int(self._points[-1] - self._low) + 2
+        shares = [
+            bisect_right(self._points, self._low + i) / count
             for i in range(size)
         ]
-        # the share of the fluids at each of its points, and the rise from it
-        self._table = [(a, b - a) for a, b in pairwise(table)]
+        # within each kelvin the share of the fluids is a line
+        self._lines = [
+            (left - (right - left) * (self._low + i), right - left)
+            for i, (left, right) in enumerate(pairwise(shares))
+        ]
+        self._high = self._low + len(self._lines)
 
     @property
     def lowest_k(self) -> float:
@@ -102,14 +105,12 @@ class Boiling:
 
         NaN of NaN: an estimate that is no number is not a safe one.
         """
-        position = (temperature_k - self._low) / TABLE_STEP_K
-        if not position > 0.0:
-            return nan if isnan(position) else 0.0
-        if position >= len(self._table):
+        if not temperature_k > self._low:
+            return nan if isnan(temperature_k) else 0.0
+        if temperature_k >= self._high:
             return 1.0
-        index = int(position)
-        left, rise = self._table[index]
-        return left + (position - index) * rise
+        share, rise = self._lines[int(temperature_k - self._low)]
+        return share + rise * temperature_k
 
     def mean_probability(self, temperatures_k: Sequence[float]) -> float:
         """Return the mean probability over *temperatures_k*; NaN of none."""
@@ -118,20 +119,18 @@ class Boiling:
         # most fluids are far from boiling; a sum keeps a NaN, max may not
         if isnan(sum(temperatures_k)):
             return nan
-        low, table = self._low, self._table
+        low, high, lines = self._low, self._high, self._lines
         if max(temperatures_k) <= low:
             return 0.0
-        found, last = 0.0, len(table)
+        found = 0.0
         # as probability(), without a call for each
         for kelvin in temperatures_k:
             if kelvin > low:
-                position = (kelvin - low) / TABLE_STEP_K
-                if position >= last:
+                if kelvin < high:
+                    share, rise = lines[int(kelvin - low)]
+                    found += share + rise * kelvin
+                else:
                     found += 1.0
-                    continue
-                index = int(position)
-                left, rise = table[index]
-                found += left + (position - index) * rise
         return found / len(temperatures_k)
 
     def quantile(self, share: float) -> float:

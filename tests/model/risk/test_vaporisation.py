@@ -198,6 +198,7 @@ def test_mean_probability_is_that_of_every_temperature() -> None:
     assert found.mean_probability([300.0, 400.0]) == 0.0
     assert found.mean_probability([400.0, 405.0]) == 0.125
     assert found.mean_probability([431.0]) == found.probability(431.0) == 1.0
+    assert found.mean_probability([float("inf"), 300.0]) == 0.5
     assert isnan(found.mean_probability([]))
     assert isnan(found.mean_probability([405.0, float("nan")]))
     assert found.quantile(0.5) == 415.0
