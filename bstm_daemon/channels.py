@@ -82,7 +82,7 @@ FLAGS: Final = {
     "wheel_radius": 1 << 43,
     "pressure_dead": 1 << 44,
     "braking_unpressed": 1 << 45,
-    "pressure_zero": 1 << 46,
+    "pressure_contradicts": 1 << 46,
     "forces_contradict": 1 << 47,
     "ambient_suspect": 1 << 48,
     "driven_unseen": 1 << 49,

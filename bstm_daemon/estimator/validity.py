@@ -26,7 +26,7 @@ from bstm_daemon.estimate import Reason, Validity
 from bstm_daemon.estimator.blocks import Block, Instant
 from bstm_daemon.estimator.model_check import ModelCheck
 from bstm_daemon.estimator.trust import Trust
-from bstm_daemon.estimator.verified import is_compared, unverified_inputs
+from bstm_daemon.estimator.verified import unverified_inputs
 from bstm_daemon.model.thermal.properties import DISC_LIMIT_C
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import KELVIN_OFFSET
@@ -49,7 +49,7 @@ _OBSERVED: Final = ("acceleration_scale", "wheel_radius", "pressure_dead")
 """What the observer of the car finds against an input."""
 
 
-_SURE: Final = FLAGS["pressure_zero"] | FLAGS["ambient_suspect"]
+_SURE: Final = FLAGS["pressure_contradicts"] | FLAGS["ambient_suspect"]
 """Whatever the heat mode: pressure also says when the motion brakes, and all
 temperatures are above the ambient's."""
 
@@ -99,10 +99,8 @@ def needs_of_corners(
     """
     found: dict[str, Needs] = {}
     unverified = unverified_inputs(config, present)
-    roles = {ROLES[number].name for number in present}
     for place, corner in enumerate(config.corner):
         remembered = _remembered(config, present, place)
-        compared = is_compared(config.heat.mode, roles, corner.name)
         measured = config.heat.mode == "measured"
         found[corner.name] = Needs(
             missing=_missing(config, present, place),
@@ -110,12 +108,10 @@ def needs_of_corners(
             remembered=remembered,
             uncertain=HEAT_UNCERTAIN << place | FLAGS["driven_unseen"],
             lost=HEAT_LOST << place,
-            unproven=0
-            if compared or config.heat.mode != "fused"
-            else _UNPROVEN,
+            unproven=_UNPROVEN if config.heat.mode == "fused" else 0,
             measured=measured,
             unverified=bool(unverified[corner.name]),
-            unchecked_k=inf if compared or measured else _UNCHECKED_K,
+            unchecked_k=inf if measured else _UNCHECKED_K,
         )
     return found
 

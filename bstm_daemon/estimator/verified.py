@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from bstm_daemon.channels import FLAGS
 from bstm_daemon.config.sections import Config
 from bstm_daemon.estimate import NO_INPUT, Input
-from bstm_daemon.roles import CORNERS, GROUND_LAG_S, MEASURED_NODES, ROLES
+from bstm_daemon.roles import CORNERS, MEASURED_NODES, ROLES
 
 _SPEEDS: Final = (
     "vehicle_speed",
@@ -70,12 +70,6 @@ CHECKS: Final = (
         ("ff", "fb", "fused"),
         ((2, _SPEEDS), (1, (_ACCELERATION,))),
     ),
-    Check(
-        Input.SPEED,
-        "other speeds and satellites",
-        ("fused",),
-        ((2, _SPEEDS), (1, tuple(GROUND_LAG_S))),
-    ),
     # in ff and fb a pressure that reads zero ends Feed-Back too
     Check(Input.PRESSURE, "motion and torque", ("fused",), ((1, (_TORQUE,)),)),
     Check(Input.ACCELERATION, "changes of speed", ("fused",)),
@@ -93,12 +87,11 @@ CHECKS: Final = (
         ((1, _PRESSURES), (1, (_ACCELERATION,))),
     ),
 )
-"""All checks that verify an input of a heat mode, but for thermocouples."""
+"""All checks that verify an input of a heat mode. A thermocouple does not:
+what a sound model may be off by hides a tenth of the heat."""
 
 NOTHING: Final = "nothing: unverified, its corners are degraded"
 THERMOCOUPLES: Final = "measured temperatures"
-"""A thermocouple of a corner contradicts whatever heats it wrongly."""
-
 MATCH: Final = "its match"
 AT_FLUID: Final = frozenset({"fluid", "caliper"})
 """A match that compared one of these nodes knows the way of the heat there."""
@@ -140,7 +133,6 @@ def verified_by(
     mode = config.heat.mode
     # without the slope, fusion forms nothing from the motion
     blind = mode == "fused" and config.heat.slope != "accelerometer"
-    measured = is_compared(mode, roles, corner)
     found = {
         one: tuple(
             check.words
@@ -153,9 +145,10 @@ def verified_by(
                 for least, group in check.needs
             )
         )
-        + ((THERMOCOUPLES,) if measured else ())
         for one in inputs_of(config, roles)
     }
+    if mode == "measured" and _is_compared(roles, corner):
+        found[Input.TEMPERATURE] = (THERMOCOUPLES,)
     matched = config.matched_of(corner)
     if matched is not None:
         seen = f"temp_{corner.lower()}_fluid" in roles
@@ -164,19 +157,14 @@ def verified_by(
     return found
 
 
-def is_compared(mode: str, roles: Collection[str], corner: str) -> bool:
-    """Return whether a thermocouple of *corner* is compared with its model.
-
-    Args:
-        mode: of the heat.
-        roles: names of the mapped roles.
-        corner: its name.
-    """
-    couples = [f"temp_{corner.lower()}_{node}" for node in _COMPARED]
-    if mode == "measured":
-        # the model is held at the first
-        couples.remove(f"temp_{corner.lower()}_disc")
-    return any(role in roles for role in couples)
+def _is_compared(roles: Collection[str], corner: str) -> bool:
+    """Return whether the model of *corner* is compared below its disc."""
+    # it is held at the first of the disc
+    return any(
+        f"temp_{corner.lower()}_{node}" in roles
+        for node in _COMPARED
+        if node != "disc"
+    )
 
 
 def unverified_inputs(

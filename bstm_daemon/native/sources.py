@@ -53,6 +53,7 @@ SOURCES: Final = {
         "native/heat/motion_checks.c",
         "native/heat/observer.c",
         "native/heat/observer_faults.c",
+        "native/heat/pressure_checks.c",
         "native/heat/sample_pass.c",
         "native/python/kernel.c",
         "native/thermal/march.c",

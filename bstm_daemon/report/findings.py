@@ -160,7 +160,7 @@ _SUBJECTS: Final = {
         _REFUSED
         | _STUCK
         | channels.FLAGS["switch_contradicts"]
-        | channels.FLAGS["pressure_zero"],
+        | channels.FLAGS["pressure_contradicts"],
     ),
     "acceleration_suspect": (
         0,

@@ -194,7 +194,11 @@ def _pressure() -> list[Fault]:
         "2 s late": delayed(2.0),
         "absent": absent,
     }
-    return [_changed(f"{role}: {k}", role, c) for k, c in kinds.items()]
+    other, few = "secondary_pressure", ("reads 0", "half", "three quarters")
+    return [
+        *(_changed(f"{role}: {k}", role, c) for k, c in kinds.items()),
+        *(_changed(f"{other}: {k}", other, kinds[k]) for k in few),
+    ]
 
 
 def _wheels() -> list[Fault]:
@@ -228,6 +232,8 @@ def _wheels() -> list[Fault]:
         _changed("all wheels: half", WHEELS, linear(0.5)),
         _changed("all wheels: absent", WHEELS, absent),
         _changed("all wheels: x0.85", WHEELS, linear(0.85)),
+        _changed("all wheels: read 0", WHEELS, constant(0.0)),
+        _changed("all wheels: frozen", WHEELS, frozen),
         *(_changed(f"all speeds: {k}", SPEEDS, c) for k, c in every.items()),
         _changed("vehicle speed: half", SPEEDS[-1], linear(0.5)),
         _changed("vehicle speed: reads 0", SPEEDS[-1], constant(0.0)),

@@ -46,6 +46,7 @@ from bstm_daemon.simulation.profile import SAMPLE_S
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from bstm_daemon.config.sections import Config
     from bstm_daemon.simulation import SimulatedDrive
     from bstm_daemon.simulation.materials import Array
 
@@ -102,7 +103,10 @@ CARS: Final[dict[str, tuple[int | None, int]]] = {
 }
 """Number and seed of the configured car, and of the first healthy one whose
 discs stay below 700 degC on all drives. With a fault the second has learned on
-LEARNING before, as a car in use has."""
+LEARNING before, as a car in use has. Its circuits, if both are mapped, cross
+the car."""
+
+SECONDARY: Final = ("FR", "RL")
 
 LEARNING: Final = "city"
 
@@ -183,7 +187,8 @@ def _learned(
     """Return what is learned of *car* on a drive without a fault."""
     driven = _driven(LEARNING, sensors, seed, car)
     *columns, present = samples(recorded(driven, inputs))
-    estimator = Estimator(configured(mode), present, judged=False)
+    config = _configured(mode, inputs, car)
+    estimator = Estimator(config, present, judged=False)
     estimator.advance(*columns)
     return estimator.samples.learned()
 
@@ -299,9 +304,8 @@ def judge(case: Case) -> Finding:
 def _estimator(
     case: Case, present: dict[int, int], start_k: float
 ) -> Estimator:
-    found = Estimator(
-        configured(case.mode), present, history_known=True, initial_k=start_k
-    )
+    config = _configured(case.mode, case.inputs, case.car)
+    found = Estimator(config, present, history_known=True, initial_k=start_k)
     if case.fault is not None and case.car is not None:
         learned = _learned(
             *(case.inputs, case.mode, case.sensors, case.seed, case.car)
@@ -309,6 +313,19 @@ def _estimator(
         found.samples = SampleState.new(learned)
         found.samples.know_air(start_k)
     return found
+
+
+def _configured(mode: str, inputs: str, car: int | None) -> Config:
+    config = configured(mode)
+    if car is None or "secondary_pressure" not in INPUTS[inputs]:
+        return config
+    corners = [
+        one.model_copy(update={"circuit": "secondary"})
+        if one.name in SECONDARY
+        else one
+        for one in config.corner
+    ]
+    return config.model_copy(update={"corner": corners})
 
 
 NODES: Final = ("fluid", "disc")

@@ -30,6 +30,7 @@ ONLY_PYTHON = {
     "motion_checks": set(),
     "observer": set(),
     "observer_faults": set(),
+    "pressure_checks": set(),
     "sample_pass": {"store"},
 }
 """What a module does for its surroundings, not in the pass."""

@@ -150,6 +150,22 @@ ZERO: Final = Hysteresis(1.0, 300.0)
 """No brake is below the air's pressure, so a lower reading is an error of the
 sensor's zero, which is there as well while the brake is pressed."""
 
+TWIN_PA: Final = 3e5
+TWIN_SETTLED_S: Final = 0.5
+TWIN_ZERO_PA: Final = 0.5e5
+TWIN_S: Final = 10.0
+TWIN_LIMIT: Final = 0.1
+TWIN_MOST: Final = 0.6
+TWIN_MOST_PA: Final = 10e5
+TWIN: Final = Hysteresis(2.0, 5.0)
+"""The brakes of an axle have one pressure, whatever circuits and sensors they
+are on, and so have the circuits of a master cylinder: where the mean of the
+two has been above TWIN_PA for TWIN_SETTLED_S, without intervention, what they
+differ by beyond their zeros, as a share of it, both filtered over TWIN_S of
+such braking. Sound circuits stay below 0.03, one that reads 0.85 is at 0.15.
+At most TWIN_MOST of TWIN_MOST_PA counts, so that noise is forgotten soon.
+"""
+
 LOWEST_CODE_K: Final = 233.15
 LOWEST_CODE_WITHIN_K: Final = 0.1
 LOWEST_CODE: Final = Hysteresis(60.0, 10.0)

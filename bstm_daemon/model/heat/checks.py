@@ -27,9 +27,6 @@ from bstm_daemon.model.heat.check_rules import (
     DEVIATION_BRAKING,
     DEVIATION_MS,
     DEVIATION_SHARE,
-    FROZEN_PRESSURE_MS,
-    FROZEN_PRESSURE_PA,
-    FROZEN_PRESSURE_S,
     FROZEN_SPEED_MS,
     FROZEN_SPEED_S,
     HOLD_US,
@@ -46,11 +43,9 @@ from bstm_daemon.model.heat.check_rules import (
     STANDING_MS,
     STUCK,
     SWITCH,
-    SWITCH_MS,
-    SWITCH_PRESSURE_PA,
+    TWIN,
     UNPROVEN_S,
     ZERO,
-    ZERO_PA,
 )
 from bstm_daemon.model.heat.memory import NEVER, CheckMemory
 from bstm_daemon.model.heat.motion_checks import (
@@ -62,6 +57,12 @@ from bstm_daemon.model.heat.motion_checks import (
     too_slow_in_bends,
     watch_leap,
     wrong_scale,
+)
+from bstm_daemon.model.heat.pressure_checks import (
+    compare_switch,
+    compare_twins,
+    compare_zero,
+    hold_pressures,
 )
 from bstm_daemon.model.heat.readings import Readings
 from bstm_daemon.model.heat.sample_plan import PlanNumbers
@@ -163,9 +164,12 @@ class Checks:
         if now.now <= self.m.suspect_until:
             refused = self._held_flags(now)
             refused |= self._speed_flags(now, refused)
-        self._hold_pressures(now, refused)
-        self._compare_switch(now)
-        self._compare_zero(now)
+        # a change of a suspect speed does not count as driving
+        unsure = bool(refused & FLAGS["speed_suspect"])
+        hold_pressures(self.m, now, unsure=unsure)
+        compare_switch(self.m, now)
+        compare_zero(self.m, now)
+        compare_twins(self.m, now)
         watch_leap(self.m, now, median, count)
         compare_motion(self.m, now, noise=bool(refused & _NO_MOTION))
         compare_turns(self.m, now)
@@ -200,7 +204,9 @@ class Checks:
         agreeing = sum(abs(speed - median) <= allowed for speed in now.speeds)
         for v, speed in enumerate(now.speeds):
             failed = None
-            if count >= 3 and not isnan(speed):
+            if v == len(now.speeds) - 1 and self._wheels_dead(now):
+                failed = False
+            elif count >= 3 and not isnan(speed):
                 if abs(self.m.scale_error[v]) > SCALE_LIMIT:
                     failed = True
                 elif abs(speed - median) > allowed:
@@ -237,6 +243,16 @@ class Checks:
         m = self.m
         # where some leap, the median changes for those that drive on
         unsure = count > 2 and leaps(m, median)
+        # all wheels may freeze together: they are in one message
+        *wheels, vehicle = now.speeds
+        held = all(
+            isnan(speed)
+            or (speed == m.speed_held[v] and m.speed_held_s[v] > MOVES_S)
+            for v, speed in enumerate(wheels)
+        )
+        if not held or isnan(vehicle):
+            m.vehicle_mark = vehicle
+        frozen = count > 2 and abs(vehicle - m.vehicle_mark) > FROZEN_SPEED_MS
         for v, speed in enumerate(now.speeds):
             # of two, the other; of three or more the median is constant
             # only where most of them do
@@ -253,9 +269,8 @@ class Checks:
             if count >= 2 and not isnan(speed):
                 if m.speed_held_s[v] < MOVES_S:
                     failed = False
-                elif (
-                    m.speed_held_s[v] >= FROZEN_SPEED_S
-                    and abs(other - m.speed_mark[v]) > FROZEN_SPEED_MS
+                elif m.speed_held_s[v] >= FROZEN_SPEED_S and (
+                    frozen or abs(other - m.speed_mark[v]) > FROZEN_SPEED_MS
                 ):
                     failed = True
             m.speed_stuck_s[v] = STUCK.advance(
@@ -266,55 +281,16 @@ class Checks:
                 or m.speed_stuck_s[v] >= STUCK.comes_s
             )
 
-    def _hold_pressures(self, now: Readings, refused: int) -> None:
-        m = self.m
-        # a change of a suspect speed does not count as driving
-        unsure = bool(refused & FLAGS["speed_suspect"])
-        for i, pressure in enumerate(now.pressures):
-            if isnan(pressure) or pressure != m.pressure_held[i]:
-                m.pressure_held[i] = 0.0 if isnan(pressure) else pressure
-                m.pressure_held_s[i] = 0.0
-                m.pressure_mark[i] = now.speed
-            else:
-                m.pressure_held_s[i] += now.dt_s
-            if unsure:
-                m.pressure_mark[i] = now.speed
-            failed = None
-            if not isnan(pressure) and now.speed_known:
-                held_s = m.pressure_held_s[i]
-                driven_ms = abs(now.speed - m.pressure_mark[i])
-                if pressure <= FROZEN_PRESSURE_PA or held_s < MOVES_S:
-                    failed = False
-                elif (
-                    held_s >= FROZEN_PRESSURE_S
-                    and driven_ms > FROZEN_PRESSURE_MS
-                ):
-                    failed = True
-            m.pressure_stuck_s[i] = STUCK.advance(
-                m.pressure_stuck_s[i], now.dt_s, failed=failed
-            )
-
-    def _compare_switch(self, now: Readings) -> None:
-        # only the pedal's own pressure: assistance fills the other circuits
-        failed = None
-        primary = now.pressures[0]
-        if (
-            not isnan(primary)
-            and now.speed > SWITCH_MS
-            and not isnan(now.brake_switch)
-            and now.esc_active == 0.0
-        ):
-            failed = primary > SWITCH_PRESSURE_PA and now.brake_switch == 0.0
-        self.m.switch_fault_s = SWITCH.advance(
-            self.m.switch_fault_s, now.dt_s, failed=failed
-        )
-
-    def _compare_zero(self, now: Readings) -> None:
-        for i, pressure in enumerate(now.pressures):
-            failed = None if isnan(pressure) else pressure < ZERO_PA
-            self.m.zero_fault_s[i] = ZERO.advance(
-                self.m.zero_fault_s[i], now.dt_s, failed=failed
-            )
+    def _wheels_dead(self, now: Readings) -> bool:
+        """Whether all wheels are stuck while the vehicle's speed changes."""
+        *wheels, vehicle = now.speeds
+        stuck = [
+            self.m.speed_stuck_s[v] >= STUCK.comes_s
+            for v, speed in enumerate(wheels)
+            if not isnan(speed)
+        ]
+        moves = self.m.speed_stuck_s[len(wheels)] < STUCK.comes_s
+        return len(stuck) > 1 and all(stuck) and moves and not isnan(vehicle)
 
     def _contradictions(self, now: Readings, count: int) -> int:
         """Bits of the checks of whole steps; absent inputs have none."""
@@ -333,9 +309,15 @@ class Checks:
             if alone:
                 flags |= FLAGS["switch_contradicts"]
             if off:
-                flags |= FLAGS["pressure_zero"]
+                flags |= FLAGS["pressure_contradicts"]
             if stuck or alone or off:
                 flags |= self._pressure_flags(now, i)
+        *axles, circuits = (s >= TWIN.comes_s for s in self.m.twin_fault_s)
+        for c, place in enumerate(self.plan.place[: self.plan.corners]):
+            if axles[place // 2] or circuits:
+                flags |= FLAGS["pressure_suspect"]
+                flags |= FLAGS["pressure_contradicts"]
+                flags |= CORNER_PRESSURE_SUSPECT << c
         if air_suspect(self.m):
             flags |= FLAGS["ambient_suspect"]
         return flags | self._motion_flags(now)
@@ -379,7 +361,7 @@ class Checks:
             not isnan(now.speeds[corners])
             and abs(self.m.scale_error[corners]) > SCALE_LIMIT
         )
-        if pair or vehicle:
+        if pair or vehicle or self._wheels_dead(now):
             flags |= FLAGS["speed_suspect"]
         return flags
 

@@ -110,6 +110,14 @@ class Inputs:
         self.pedal = PEDAL_UNKNOWN
         self.wheel = [0.0] * self.corners
         self.target = [0.0] * self.corners
+        self.known = [False] * self.corners
+        self.twin_low, self.twin_high = [nan] * 3, [nan] * 3
+        at = {self.plan.place[c]: c for c in range(self.corners)}
+        self.pairs = [
+            (axle, at[2 * axle], at[2 * axle + 1])
+            for axle in range(2)
+            if {2 * axle, 2 * axle + 1} <= at.keys()
+        ]
 
     def mapped(self, role: int) -> bool:
         """Whether a signal has *role*."""
@@ -140,7 +148,7 @@ class Inputs:
     def refresh(self) -> None:
         """Compute speeds and pressures from the values that are valid now."""
         value = self.m.value
-        counts = [self.valid(role) for role in self.wheel_role]
+        counts = present = [self.valid(role) for role in self.wheel_role]
         by_vehicle = vehicle = self.valid(_SPEED)
         if any(self.checks.m.left_out):
             counts, by_vehicle = self._believed(counts, vehicle=vehicle)
@@ -158,17 +166,18 @@ class Inputs:
         # in reverse a forward force acts against the motion
         self.heading = -1.0 if signed < 0.0 else 1.0
         self.speed_known = count > 0 or vehicle
-        fast, slow = self._axles([self.valid(r) for r in self.wheel_role])
+        fast, slow = self._axles(present)
         resting = 0.0 <= slow < rules.STANDING_MS
         self.apart = resting and fast > rules.STAND_TURNS_MS
         self.on_stand = resting and stand_shown(self.checks.m)
         for c, role in enumerate(self.wheel_role):
             turning = abs(value[role])
             # there a wheel at rest is no dead sensor
-            rests = turning < rules.STANDING_MS and self.valid(role)
-            known = counts[c] or (self.on_stand and rests)
+            rests = self.on_stand and turning < rules.STANDING_MS
+            known = counts[c] or (rests and present[c])
             self.wheel[c] = turning if known else self.speed
         self._refresh_pressures()
+        self._refresh_twins()
         self._refresh_ground_speed(counts)
         # the foot is on the pedal: fusion counts the lightest pressure
         self.pressing_pa = self.plan.on_pressure_pa
@@ -260,10 +269,9 @@ class Inputs:
         tare = observed.tare_primary
         axle = (value[_PRIMARY] if self.valid(_PRIMARY) else tare) - tare
         other = value[_SECONDARY] - observed.tare_secondary
-        self.pressure_present = False
+        self.known = [self.corner_known(c) for c in range(self.corners)]
+        self.pressure_present = any(self.known)
         for c in range(self.corners):
-            if self.corner_known(c):
-                self.pressure_present = True
             second = self.plan.secondary[c] and by_secondary
             pressure = other if second else axle
             if self.valid(self.pressure_role[c]):
@@ -271,6 +279,35 @@ class Inputs:
             elif self.plan.place[c] >= 2 and self.plan.points:
                 pressure = self._rear_pressure(pressure)
             self.target[c] = max(0.0, pressure)
+
+    def _refresh_twins(self) -> None:
+        """Set what the brakes of each axle read, and the two circuits.
+
+        Where left and right contradict each other, nobody knows which is
+        right: both brake by the higher.
+        """
+        value, m = self.m.value, self.observer.m
+        if (
+            self.plan.mode == MODE_FUSED
+            and self.valid(_PRIMARY)
+            and self.valid(_SECONDARY)
+        ):
+            one = max(0.0, value[_PRIMARY] - m.tare_primary)
+            two = max(0.0, value[_SECONDARY] - m.tare_secondary)
+            self.twin_low[2], self.twin_high[2] = min(one, two), max(one, two)
+        else:
+            self.twin_low[2] = self.twin_high[2] = nan
+        known, target = self.known, self.target
+        for axle, c, d in self.pairs:
+            if not (known[c] and known[d]):
+                self.twin_low[axle] = self.twin_high[axle] = nan
+                continue
+            one, two = target[c], target[d]
+            low, high = (one, two) if one < two else (two, one)
+            self.twin_low[axle], self.twin_high[axle] = low, high
+            fault_s = self.checks.m.twin_fault_s[axle]
+            if fault_s >= rules.TWIN.comes_s and not self._intervenes():
+                target[c] = target[d] = high
 
     def _rear_pressure(self, front: float) -> float:
         """Return the rear axle's pressure behind the valve [Pa]."""
@@ -404,6 +441,8 @@ class Inputs:
                 for role in (_PRIMARY, _SECONDARY, *self.pressure_role)
             ],
             pressure_of=[self._pressure_of(c) for c in range(self.corners)],
+            twin_low=self.twin_low,
+            twin_high=self.twin_high,
             heat_known=[source != NONE for source in sources],
             at_risk=at_risk,
         )

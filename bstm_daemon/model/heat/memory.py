@@ -25,6 +25,7 @@ NEVER: Final = -(2**63)
 UNKNOWN: Final = -1.0
 
 PER_CORNER: Final = Length("MAX_CORNERS", len(CORNERS))
+PER_TWIN: Final = Length("TWINS", 3)
 PER_SPEED: Final = Length("MAX_SPEEDS", len(CORNERS) + 1)
 PER_PRESSURE: Final = Length("MAX_PRESSURES", len(CORNERS) + 2)
 PER_ROLE: Final = Length("ROLES", len(ROLES))
@@ -33,6 +34,7 @@ PER_GROUND_SPEED: Final = Length("GROUND_SPEEDS", len(GROUND_SPEED_ROLES))
 secondary, then the wheels'."""
 
 Corners: TypeAlias = Annotated[list[float], PER_CORNER]
+Twins: TypeAlias = Annotated[list[float], PER_TWIN]
 Speeds: TypeAlias = Annotated[list[float], PER_SPEED]
 Pressures: TypeAlias = Annotated[list[float], PER_PRESSURE]
 Values: TypeAlias = Annotated[list[float], PER_ROLE]
@@ -97,6 +99,7 @@ class CheckMemory:
     times gain of speed, and of the gain's square [m2/s3]. ``outage_s``: how
     long a corner's heat was unknown, ``aftermath_s``: how long that still has
     an effect. ``mark`` is the speed of the others when a value was first held;
+    ``vehicle_mark`` is the vehicle's when a wheel last turned on.
     ``left_out`` is 1 for a speed that is not used. ``scale_error`` is a speed
     over the median of all, less 1. Fields ``band_*`` filter the speed's
     derivative and the accelerometer; ``rate_square``, ``accel_square`` and
@@ -109,7 +112,9 @@ class CheckMemory:
     read ``accel_held``. ``air_k`` is the air by its own history, 0 before
     any. ``parked_s``: for how long the car was parked when
     that was last known, ``unproven_s``: for how long its bus has been awake
-    since.
+    since. ``twin_pressed_s``: for how long an axle has been pressed,
+    ``twin_pressure`` and ``twin_difference`` filter the mean of its brakes and
+    what they differ by.
     """
 
     last_sample: int
@@ -124,6 +129,7 @@ class CheckMemory:
     inertia_fault_s: float
     switch_fault_s: float
     pair_fault_s: float
+    vehicle_mark: float
     last_speed: float
     agreement: float
     motion: float
@@ -153,6 +159,10 @@ class CheckMemory:
     parked_s: float
     unproven_s: float
     jump_value: Values
+    twin_pressed_s: Twins
+    twin_pressure: Twins
+    twin_difference: Twins
+    twin_fault_s: Twins
     outage_s: Corners
     aftermath_s: Corners
     deviation_fault_s: Speeds
@@ -182,7 +192,8 @@ class ObserverMemory:
     rate's square, as rates change. ``proof_s`` is the braking that must
     still prove the pressure after an external force. ``balance_*`` count and
     sum braking by pressure x and by motion y, their squares and product
-    [m2/s4], over half seconds; ``outlier_s`` is how long they were apart,
+    [m2/s4], over half seconds, and the deviation of y that the learned states
+    leave; ``outlier_s`` is how long they were apart,
     ``held_back_s`` how long a drive moved the car too little.
     """
 
@@ -218,6 +229,7 @@ class ObserverMemory:
     balance_xx: float
     balance_xy: float
     balance_yy: float
+    balance_std: float
     outlier_s: float
     held_back_s: float
     stood_s: float

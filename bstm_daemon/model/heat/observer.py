@@ -259,7 +259,7 @@ class Observer:
         # an assumed torque is no measurement
         if not s.torque_known:
             return
-        compare_forces(m, ff_decel, braking)
+        compare_forces(m, ff_decel, braking, braking_std)
         if m.external_held_s > 0.0 or braking < 0.3 * ff_decel:
             return
         white = ACCEL_NOISE / braking

@@ -99,8 +99,11 @@ def implausible_radius(m: ObserverMemory) -> bool:
     )
 
 
-def compare_forces(m: ObserverMemory, x: float, y: float) -> None:
-    """Add the braking of a window by pressure *x* and by motion *y* [m/s2]."""
+def compare_forces(m: ObserverMemory, x: float, y: float, std: float) -> None:
+    """Add the braking of a window by pressure *x* and by motion *y* [m/s2].
+
+    *std* is what the learned states leave open of *y*.
+    """
     keep = 1.0 - 1.0 / rules.BALANCE_WINDOWS
     m.balance_count = keep * m.balance_count + 1.0
     m.balance_x = keep * m.balance_x + x
@@ -108,6 +111,7 @@ def compare_forces(m: ObserverMemory, x: float, y: float) -> None:
     m.balance_xx = keep * m.balance_xx + x * x
     m.balance_xy = keep * m.balance_xy + x * y
     m.balance_yy = keep * m.balance_yy + y * y
+    m.balance_std = keep * m.balance_std + std
 
 
 def is_outlier(m: ObserverMemory, innovation: float, std: float) -> bool:
@@ -148,7 +152,10 @@ def unbalanced(m: ObserverMemory) -> bool:
     at_0 = mean_y - slope * mean_x
     rest = m.balance_yy / n - mean_y * mean_y - slope * cov
     var_0 = max(rest, 0.0) * (1.0 + mean_x * mean_x / var_x) / n
-    margin = rules.BALANCE_STDS * sqrt(rules.CORRELATED_WINDOWS * var_0)
+    # the windows scatter, and share the error of the learned states
+    std = m.balance_std / n
+    var_0 = rules.CORRELATED_WINDOWS * var_0 + std * std
+    margin = rules.BALANCE_STDS * sqrt(var_0)
     less = max(rules.BALANCE_MS2, rules.BALANCE_SHARE * mean_x)
     more = max(rules.BALANCE_MORE_MS2, rules.BALANCE_MORE_SHARE * mean_x)
     if slope < rules.BALANCE_STEEP and at_0 + margin < -less:

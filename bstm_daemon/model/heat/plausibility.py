@@ -31,7 +31,7 @@ CONTRADICTIONS: Final = (
     FLAGS["switch_contradicts"]
     | FLAGS["wheels_contradict"]
     | FLAGS["acceleration_contradicts"]
-    | FLAGS["pressure_zero"]
+    | FLAGS["pressure_contradicts"]
     | FLAGS["forces_contradict"]
 )
 """Inputs do not agree with each other."""
@@ -83,7 +83,7 @@ WORDS: Final = {
     "wheel_radius": "wheel speed disagrees with satellite speed",
     "pressure_dead": "repeated braking without any pressure",
     "braking_unpressed": "braking without measured pressure",
-    "pressure_zero": "zero of a pressure sensor off",
+    "pressure_contradicts": "pressure below zero, or left against right",
     "forces_contradict": "torque, brakes and acceleration contradict",
     "ambient_suspect": "ambient temperature suspect",
     "driven_unseen": "driven while nothing was received",

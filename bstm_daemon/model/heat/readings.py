@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from bstm_daemon.model.heat.memory import PER_CORNER, Pressures, Speeds
+from bstm_daemon.model.heat.memory import PER_CORNER, Pressures, Speeds, Twins
 
 
 @dataclass(slots=True)
@@ -17,8 +17,10 @@ class Readings:
     ``pressures``: primary, secondary, then wheels; ``acceleration`` along
     the motion; ``intervenes``: any system slows or spins single wheels;
     ``pressure_of``: per corner the index in ``pressures`` of
-    the one that it uses; ``heat_known`` and ``at_risk`` per corner: whether
-    its power is known, and whether there may be any.
+    the one that it uses; ``twin_low`` and ``twin_high`` are the pressures of
+    the two brakes of the front and the rear axle and of the circuits;
+    ``heat_known`` and ``at_risk`` per corner: whether its power is known, and
+    whether there may be any.
     """
 
     now: int
@@ -37,5 +39,7 @@ class Readings:
     speeds: Speeds
     pressures: Pressures
     pressure_of: Annotated[list[int], PER_CORNER]
+    twin_low: Twins
+    twin_high: Twins
     heat_known: Annotated[list[bool], PER_CORNER]
     at_risk: Annotated[list[bool], PER_CORNER]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.config.sections import Config, CornerConfig
 
-PLAN_LAYOUT: Final = 8
+PLAN_LAYOUT: Final = 9
 """Version of the memory's layout: a state saved with another is not resumed.
 """
 

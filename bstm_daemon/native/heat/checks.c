@@ -2,6 +2,7 @@
 
 #include "check_rules.h"
 #include "motion_checks.h"
+#include "pressure_checks.h"
 
 #define NO_MOTION (FLAG_SPEED_SUSPECT | FLAG_ACCELERATION_SUSPECT)
 
@@ -103,6 +104,21 @@ static void compare_scales(Checks *c, const Readings *now, double middle,
     }
 }
 
+/* Whether all wheels are stuck while the vehicle's speed changes. */
+static int wheels_dead(const Checks *c, const Readings *now)
+{
+    int wheels = 0;
+    if (isnan(now->speeds[c->corners])
+        || c->m->speed_stuck_s[c->corners] >= STUCK.comes_s)
+        return 0;
+    for (int v = 0; v < c->corners; v++) {
+        if (isnan(now->speeds[v])) continue;
+        if (c->m->speed_stuck_s[v] < STUCK.comes_s) return 0;
+        wheels++;
+    }
+    return wheels > 1;
+}
+
 static void compare_speeds(Checks *c, const Readings *now, double middle,
                            int count)
 {
@@ -113,7 +129,8 @@ static void compare_speeds(Checks *c, const Readings *now, double middle,
         agreeing += fabs(now->speeds[v] - middle) <= allowed;
     for (int v = 0; v <= c->corners; v++) {
         int outcome = OPEN;
-        if (count >= 3 && !isnan(now->speeds[v])) {
+        if (v == c->corners && wheels_dead(c, now)) outcome = PASSED;
+        else if (count >= 3 && !isnan(now->speeds[v])) {
             if (fabs(c->m->scale_error[v]) > SCALE_LIMIT) outcome = FAILED;
             else if (fabs(now->speeds[v] - middle) > allowed)
                 outcome = agreeing >= 2 ? FAILED : OPEN;
@@ -133,6 +150,17 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
 {
     /* where some leap, the median changes for those that drive on */
     const int unsure = count > 2 && motion_checks_leaps(c->m, middle);
+    /* all wheels may freeze together: they are in one message */
+    const double vehicle = now->speeds[c->corners];
+    int held = !isnan(vehicle);
+    for (int v = 0; v < c->corners; v++)
+        if (!isnan(now->speeds[v])
+            && (now->speeds[v] != c->m->speed_held[v]
+                || !(c->m->speed_held_s[v] > MOVES_S)))
+            held = 0;
+    if (!held) c->m->vehicle_mark = vehicle;
+    const int frozen =
+        count > 2 && fabs(vehicle - c->m->vehicle_mark) > FROZEN_SPEED_MS;
     for (int v = 0; v <= c->corners; v++) {
         const double speed = now->speeds[v];
         const double other = count == 2 ? 2.0 * middle - speed : middle;
@@ -146,59 +174,13 @@ static void hold_speeds(Checks *c, const Readings *now, double middle,
         if (count >= 2 && !isnan(speed)) {
             if (c->m->speed_held_s[v] < MOVES_S) outcome = PASSED;
             else if (c->m->speed_held_s[v] >= FROZEN_SPEED_S
-                     && fabs(other - c->m->speed_mark[v]) > FROZEN_SPEED_MS)
+                     && (frozen || fabs(other - c->m->speed_mark[v])
+                                       > FROZEN_SPEED_MS))
                 outcome = FAILED;
         }
         c->m->speed_stuck_s[v] = check_rules_advance(STUCK, c->m->speed_stuck_s[v], outcome, now->dt_s);
         c->m->left_out[v] = c->m->deviation_fault_s[v] >= DEVIATION.comes_s
             || c->m->speed_stuck_s[v] >= STUCK.comes_s ? 1.0 : 0.0;
-    }
-}
-
-static void hold_pressures(Checks *c, const Readings *now, int64_t refused)
-{
-    /* a change of a suspect speed does not count as driving */
-    const int unsure = (refused & FLAG_SPEED_SUSPECT) != 0;
-    for (int i = 0; i < c->corners + 2; i++) {
-        const double pressure = now->pressures[i];
-        if (isnan(pressure) || pressure != c->m->pressure_held[i]) {
-            c->m->pressure_held[i] = isnan(pressure) ? 0.0 : pressure;
-            c->m->pressure_held_s[i] = 0.0;
-            c->m->pressure_mark[i] = now->speed;
-        } else c->m->pressure_held_s[i] += now->dt_s;
-        if (unsure) c->m->pressure_mark[i] = now->speed;
-        int outcome = OPEN;
-        if (!isnan(pressure) && now->speed_known) {
-            if (pressure <= FROZEN_PRESSURE_PA || c->m->pressure_held_s[i] < MOVES_S)
-                outcome = PASSED;
-            else if (c->m->pressure_held_s[i] >= FROZEN_PRESSURE_S
-                     && fabs(now->speed - c->m->pressure_mark[i]) > FROZEN_PRESSURE_MS)
-                outcome = FAILED;
-        }
-        c->m->pressure_stuck_s[i] = check_rules_advance(STUCK, c->m->pressure_stuck_s[i], outcome, now->dt_s);
-    }
-}
-
-static void compare_switch(Checks *c, const Readings *now)
-{
-    /* only the pedal's own pressure: assistance fills the other circuits */
-    int outcome = OPEN;
-    const double primary = now->pressures[0];
-    if (!isnan(primary) && now->speed > SWITCH_MS
-        && !isnan(now->brake_switch) && now->esc_active == 0.0)
-        outcome = primary > SWITCH_PRESSURE_PA && now->brake_switch == 0.0
-            ? FAILED : PASSED;
-    c->m->switch_fault_s = check_rules_advance(SWITCH, c->m->switch_fault_s, outcome, now->dt_s);
-}
-
-static void compare_zero(Checks *c, const Readings *now)
-{
-    for (int i = 0; i < c->corners + 2; i++) {
-        const double pressure = now->pressures[i];
-        int outcome = OPEN;
-        if (!isnan(pressure)) outcome = pressure < ZERO_PA ? FAILED : PASSED;
-        c->m->zero_fault_s[i] =
-            check_rules_advance(ZERO, c->m->zero_fault_s[i], outcome, now->dt_s);
     }
 }
 
@@ -270,7 +252,7 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
     /* of the wheels and the vehicle's speed nobody knows which is right */
     const int vehicle = !isnan(now->speeds[c->corners])
         && fabs(c->m->scale_error[c->corners]) > SCALE_LIMIT;
-    if (pair || vehicle) flags |= FLAG_SPEED_SUSPECT;
+    if (pair || vehicle || wheels_dead(c, now)) flags |= FLAG_SPEED_SUSPECT;
     const int without_switch =
         c->m->switch_fault_s >= SWITCH.comes_s && !isnan(now->brake_switch);
     for (int i = 0; i < c->corners + 2; i++) {
@@ -278,11 +260,16 @@ static int64_t contradictions(const Checks *c, const Readings *now, int count)
         const int stuck = c->m->pressure_stuck_s[i] >= STUCK.comes_s;
         const int alone = without_switch && i == 0;
         const int off = c->m->zero_fault_s[i] >= ZERO.comes_s;
-        if (off) flags |= FLAG_PRESSURE_ZERO;
+        if (off) flags |= FLAG_PRESSURE_CONTRADICTS;
         if (stuck) flags |= FLAG_STUCK;
         if (alone) flags |= FLAG_SWITCH_CONTRADICTS;
         if (stuck || alone || off) flags |= pressure_flags(c, now, i);
     }
+    for (int i = 0; i < c->corners; i++)
+        if (c->m->twin_fault_s[c->options->place[i] / 2] >= TWIN.comes_s
+            || c->m->twin_fault_s[2] >= TWIN.comes_s)
+            flags |= FLAG_PRESSURE_SUSPECT | FLAG_PRESSURE_CONTRADICTS
+                | CORNER_PRESSURE_SUSPECT << i;
     if (c->m->lowest_code_s >= LOWEST_CODE.comes_s
         || c->m->air_fault_s >= AIR_FELL.comes_s)
         flags |= FLAG_AMBIENT_SUSPECT;
@@ -390,9 +377,12 @@ int64_t checks_close(Checks *c, const Readings *now)
         refused = held_flags(c, now);
         refused |= speed_flags(c, now, refused);
     }
-    hold_pressures(c, now, refused);
-    compare_switch(c, now);
-    compare_zero(c, now);
+    /* a change of a suspect speed does not count as driving */
+    pressure_checks_hold_pressures(c->m, now, c->corners + 2,
+                                   (refused & FLAG_SPEED_SUSPECT) != 0);
+    pressure_checks_compare_switch(c->m, now);
+    pressure_checks_compare_zero(c->m, now, c->corners + 2);
+    pressure_checks_compare_twins(c->m, now);
     motion_checks_watch_leap(c->m, now, middle, count);
     motion_checks_compare_motion(c->m, now, c->corners + 1,
                                  (refused & NO_MOTION) != 0);

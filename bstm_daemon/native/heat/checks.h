@@ -10,6 +10,7 @@ enum { MAX_TEMPERATURES = 1 + MEASURED_COUNT * MAX_CORNERS };
 
 typedef struct {
     const PlanNumbersFloats *plan;
+    const PlanNumbersInts *options;
     CheckMemoryInts *t;
     CheckMemoryFloats *m;
     int corners, temperatures;

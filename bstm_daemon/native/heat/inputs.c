@@ -10,7 +10,8 @@ void inputs_init(Inputs *p, SampleMemoryInts *times,
     p->m = &numbers->samples;
     Checks *c = &p->checks;
     *c = (Checks){
-        .plan = p->plan, .t = &times->checks, .m = &numbers->checks,
+        .plan = p->plan, .options = p->options,
+        .t = &times->checks, .m = &numbers->checks,
         .corners = corners,
         .acceleration_role = ROLE_ACCELERATION_LONGITUDINAL,
         .torque_role = ROLE_POWERTRAIN_TORQUE,
@@ -115,6 +116,41 @@ static int intervenes(const Inputs *p)
         || inputs_vehicle(p, ROLE_TC_ACTIVE, 0.0) > 0.0;
 }
 
+/* Set what the brakes of each axle read, and the two circuits; where left and
+ * right contradict each other, nobody knows which is right, and both brake by
+ * the higher. */
+static void refresh_twins(Inputs *p)
+{
+    const ObserverMemory *o = p->observer.m;
+    double one = p->m->value[ROLE_PRIMARY_PRESSURE] - o->tare_primary;
+    double two = p->m->value[ROLE_SECONDARY_PRESSURE] - o->tare_secondary;
+    if (!(one > 0.0)) one = 0.0;
+    if (!(two > 0.0)) two = 0.0;
+    const int compared = p->options->mode == MODE_FUSED
+        && inputs_valid(p, ROLE_PRIMARY_PRESSURE)
+        && inputs_valid(p, ROLE_SECONDARY_PRESSURE);
+    p->twin_low[2] = !compared ? NAN : one < two ? one : two;
+    p->twin_high[2] = !compared ? NAN : one > two ? one : two;
+    for (int axle = 0; axle < 2; axle++) {
+        double low = NAN, high = NAN;
+        int count = 0;
+        for (int c = 0; c < p->corners; c++) {
+            if (p->options->place[c] / 2 != axle || !inputs_corner_known(p, c))
+                continue;
+            if (count == 0 || p->target[c] < low) low = p->target[c];
+            if (count == 0 || p->target[c] > high) high = p->target[c];
+            count++;
+        }
+        p->twin_low[axle] = count == 2 ? low : NAN;
+        p->twin_high[axle] = count == 2 ? high : NAN;
+        if (count < 2 || p->checks.m->twin_fault_s[axle] < TWIN.comes_s
+            || intervenes(p))
+            continue;
+        for (int c = 0; c < p->corners; c++)
+            if (p->options->place[c] / 2 == axle) p->target[c] = high;
+    }
+}
+
 /* What shows braking where no pressure does. */
 static int pedal(const Inputs *p)
 {
@@ -188,6 +224,7 @@ void inputs_refresh(Inputs *p)
         p->wheel[c] = known ? turning : p->speed;
     }
     refresh_pressures(p);
+    refresh_twins(p);
     refresh_ground_speed(p, counts);
     /* the foot is on the pedal: fusion counts the lightest pressure */
     p->pressing_pa = p->plan->on_pressure_pa;
@@ -332,5 +369,9 @@ void inputs_readings(const Inputs *p, double dt_s, const int *source,
         now->pressures[2 + c] = inputs_reading(p, p->pressure_role[c]);
         now->pressure_of[c] = pressure_of(p, c);
         now->heat_known[c] = source[c] != NONE;
+    }
+    for (int i = 0; i < TWINS; i++) {
+        now->twin_low[i] = p->twin_low[i];
+        now->twin_high[i] = p->twin_high[i];
     }
 }

@@ -21,6 +21,7 @@ typedef struct {
     int spinning, apart, on_stand, pedal;
     double pressing_pa, speed, ground_speed, heading;
     double wheel[MAX_CORNERS], target[MAX_CORNERS];
+    double twin_low[TWINS], twin_high[TWINS];
 } Inputs;
 
 static inline int inputs_mapped(const Inputs *p, int role)

@@ -116,7 +116,7 @@ static void learn_friction(Observer *o, double accel, double drive,
     }
     /* an assumed torque is no measurement */
     if (!s->torque_known) return;
-    observer_faults_compare_forces(m, ff_decel, braking);
+    observer_faults_compare_forces(m, ff_decel, braking, braking_std);
     if (m->external_held_s > 0.0 || braking < 0.3 * ff_decel) return;
     const double white = ACCEL_NOISE / braking;
     const double wind = WIND_SHARE * (m->known.x[DRAG] * drag) / braking;

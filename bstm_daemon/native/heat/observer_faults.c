@@ -1,6 +1,7 @@
 #include "observer_faults.h"
 
-void observer_faults_compare_forces(ObserverMemory *m, double x, double y)
+void observer_faults_compare_forces(ObserverMemory *m, double x, double y,
+                                    double std)
 {
     const double keep = 1.0 - 1.0 / BALANCE_WINDOWS;
     m->balance_count = keep * m->balance_count + 1.0;
@@ -9,6 +10,7 @@ void observer_faults_compare_forces(ObserverMemory *m, double x, double y)
     m->balance_xx = keep * m->balance_xx + x * x;
     m->balance_xy = keep * m->balance_xy + x * y;
     m->balance_yy = keep * m->balance_yy + y * y;
+    m->balance_std = keep * m->balance_std + std;
 }
 
 int observer_faults_is_outlier(ObserverMemory *m, double innovation,
@@ -52,8 +54,11 @@ static int unbalanced(const ObserverMemory *m)
     const double at_0 = mean_y - slope * mean_x;
     double rest = m->balance_yy / n - mean_y * mean_y - slope * cov;
     if (rest < 0.0) rest = 0.0;
-    const double var_0 = rest * (1.0 + mean_x * mean_x / var_x) / n;
-    const double margin = BALANCE_STDS * sqrt(CORRELATED_WINDOWS * var_0);
+    /* the windows scatter, and share the error of the learned states */
+    const double std = m->balance_std / n;
+    double var_0 = rest * (1.0 + mean_x * mean_x / var_x) / n;
+    var_0 = CORRELATED_WINDOWS * var_0 + std * std;
+    const double margin = BALANCE_STDS * sqrt(var_0);
     double less = BALANCE_SHARE * mean_x, more = BALANCE_MORE_SHARE * mean_x;
     if (less < BALANCE_MS2) less = BALANCE_MS2;
     if (more < BALANCE_MORE_MS2) more = BALANCE_MORE_MS2;

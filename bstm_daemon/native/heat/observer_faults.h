@@ -17,7 +17,8 @@ void observer_faults_count_drive(ObserverMemory *m, double innovation,
 /* Whether ln friction is not to be learned; count what contradicts. */
 int observer_faults_is_outlier(ObserverMemory *m, double innovation,
                                double std);
-void observer_faults_compare_forces(ObserverMemory *m, double x, double y);
+void observer_faults_compare_forces(ObserverMemory *m, double x, double y,
+                                    double std);
 void observer_faults_compare_radius(ObserverMemory *m, const Step *s);
 
 #endif

@@ -636,13 +636,18 @@ def test_windows_in_which_a_drive_moves_the_car_too_little(
 
 
 def line(
-    n: int, *, offset: float, slope: float = 0.9, step: float = 0.5
+    n: int,
+    *,
+    offset: float,
+    slope: float = 0.9,
+    step: float = 0.5,
+    std: float = 0.0,
 ) -> ObserverMemory:
     """Return the memory after *n* windows along a line."""
     m = zeros(ObserverMemory)
     for i in range(n):
         x = step + step * (i % 4)
-        compare_forces(m, x, offset + slope * x)
+        compare_forces(m, x, offset + slope * x, std)
     return m
 
 
@@ -652,6 +657,8 @@ def test_braking_that_an_offset_hides_or_adds() -> None:
     assert not unbalanced(line(40, offset=-0.14, step=0.3))
     assert unbalanced(line(40, offset=-0.19))  # 0.15 of 1.25 m/s2
     assert not unbalanced(line(40, offset=-0.18))
+    assert unbalanced(line(40, offset=-0.25, std=0.03))
+    assert not unbalanced(line(40, offset=-0.25, std=0.032))  # 2 deviations
     assert unbalanced(line(40, offset=0.45))  # 0.35 of 1.25 m/s2
     assert not unbalanced(line(40, offset=0.42))
     assert not unbalanced(line(40, offset=0.6, slope=0.7))  # they fade
@@ -660,12 +667,12 @@ def test_braking_that_an_offset_hides_or_adds() -> None:
     m = zeros(ObserverMemory)
     for i in range(40):
         x = 5.0 + 0.4 * (i % 4)
-        compare_forces(m, x, -0.7 + 0.9 * x)
+        compare_forces(m, x, -0.7 + 0.9 * x, 0.0)
     assert not unbalanced(m)  # 12 % of hard stops
     m = zeros(ObserverMemory)
     for i in range(40):
         x = 1.0 + 0.1 * (i % 4)
-        compare_forces(m, x, -0.5 + 0.9 * x)
+        compare_forces(m, x, -0.5 + 0.9 * x, 0.0)
     assert not unbalanced(m)  # all of one kind: no line
 
 

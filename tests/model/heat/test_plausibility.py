@@ -109,6 +109,23 @@ def four(make_car: Any, make_corner: Any) -> Callable[..., Any]:
     return make
 
 
+@pytest.fixture(scope="session")
+def circuits(make_car: Any, make_corner: Any) -> Callable[..., Any]:
+    """Return the maker of a car with corners by circuit."""
+
+    def make(mode: str = "ff", **corners: list[str]) -> Any:
+        return make_car(
+            *(
+                make_corner(name, circuit=circuit)
+                for circuit, names in corners.items()
+                for name in names
+            ),
+            heat={"mode": mode},
+        )
+
+    return make
+
+
 def bits(run: Run, mask: int) -> list[bool]:
     """Return whether any bit of *mask* is set, over the steps."""
     return [bool(int(f) & mask) for f in run.of_car("flags")]
@@ -586,7 +603,111 @@ def test_a_wheel_that_stands_still_while_the_car_starts_is_stuck(
     assert run.of_car("speed_ms")[-1] == pytest.approx(20.0, abs=0.2)
 
 
+@pytest.mark.parametrize("held", [0.0, 20.0])
+def test_all_wheels_freeze_while_the_vehicle_drives_on(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    four: Callable[..., Any],
+    held: float,
+) -> None:
+    """They are in one message: the one that moves is right, and unchecked."""
+    dead = dict.fromkeys(WHEELS, (held, held))
+    drive = Drive().hold(8.0, **wheels(held), vehicle_speed=held)
+    drive.ramp(30.0, **dead, vehicle_speed=(held, held + 15.0))
+    drive.hold(2.0, **wheels(held), vehicle_speed=held + 15.0)
+    run = start(four(), kernel, *WHEELS, "vehicle_speed").feed(drive.samples)
+
+    # 3 m/s at 0.5 m/s2, and a second
+    marks = bits(run, FLAGS["stuck"])
+    assert first_s(marks) == pytest.approx(15.0, abs=0.1)
+    assert marks[-1]
+    assert bits(run, FLAGS["speed_suspect"])[-1]
+    assert bits(run, WHEEL_SUSPECT << 3) == marks
+    assert run.of_car("speed_ms")[-1] == pytest.approx(held + 15.0, abs=0.2)
+
+
 # Pressure
+
+
+@pytest.mark.parametrize(
+    ("read", "more", "comes"),
+    [
+        (0.84, {}, True),
+        (1.19, {}, True),
+        (0.86, {}, False),
+        (0.5, {"abs_active": 1.0}, False),
+    ],
+)
+def test_left_against_right_of_an_axle(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    circuits: Callable[..., Any],
+    read: float,
+    more: dict[str, float],
+    comes: bool,  # noqa: FBT001
+) -> None:
+    """10 % of 10 bar beyond 0.5 bar: both brake by the higher."""
+    roles = "primary_pressure", "secondary_pressure", "vehicle_speed", *more
+    held = dict(zip(roles, (1e6, read * 1e6, 20.0), strict=False))
+    drive = Drive().hold(10.0, **held, **more)
+    car = circuits(primary=["FL"], secondary=["FR", "RR"])
+    run = start(car, kernel, *roles).feed(drive.samples)
+
+    marks = bits(run, FLAGS["pressure_contradicts"])
+    assert any(marks) is comes
+    assert bits(run, FLAGS["pressure_suspect"]) == marks
+    assert bits(run, CORNER_PRESSURE_SUSPECT) == marks
+    assert bits(run, CORNER_PRESSURE_SUSPECT << 1) == marks
+    assert not any(bits(run, CORNER_PRESSURE_SUSPECT << 2))
+    left, right = (run.column("pressure_pa", c)[-1] for c in range(2))
+    assert left == pytest.approx(max(1.0, read if comes else 1.0) * 1e6)
+    if comes:
+        # settled for 0.5 s, then failing for 2 s
+        assert first_s(marks) == pytest.approx(2.5, abs=0.11)
+        assert left == right
+    else:
+        assert right == pytest.approx(read * 1e6)
+
+
+@pytest.mark.parametrize("most_pa", [2e6, 1e7])
+def test_left_against_right_forgets_noise(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    circuits: Callable[..., Any],
+    most_pa: float,
+) -> None:
+    """Of any difference 60 % of 10 bar counts, 10 s long, and 5 s more."""
+    roles = "primary_pressure", "secondary_pressure", "vehicle_speed"
+    noise = dict(zip(roles, (most_pa, most_pa / 4.0, 20.0), strict=True))
+    sound = dict(zip(roles, (8e5, 8e5, 20.0), strict=True))
+    drive = Drive().hold(4.0, **noise).hold(30.0, **sound)
+    car = circuits(primary=["FL"], secondary=["FR", "RR"])
+    run = start(car, kernel, *roles).feed(drive.samples)
+
+    marks = bits(run, FLAGS["pressure_contradicts"])
+    # 6 f exp(-t / 10 s) = 0.1 (8 (1 - exp(-t / 10 s)) + 10 f exp(-t / 10 s))
+    filled = 1.0 - math.exp(-0.35)
+    ends_s = 10.0 * math.log(1.0 + (6.0 - 1.0) * filled / 0.8)
+    assert first_s(marks) == pytest.approx(2.5, abs=0.11)
+    assert marks.count(True) / STEPS_PER_S == pytest.approx(
+        4.0 - 2.5 + ends_s + 5.0, abs=0.2
+    )
+
+
+@pytest.mark.parametrize("mode", ["ff", "fused"])
+def test_circuits_of_two_axles(
+    kernel: Kernel | None,
+    start: Callable[..., Run],
+    circuits: Callable[..., Any],
+    mode: str,
+) -> None:
+    """Mode fused sees the sum of both only; a balance bar looks the same."""
+    car = circuits(mode, primary=["FL", "FR"], secondary=["RL", "RR"])
+    roles = "primary_pressure", "secondary_pressure", "vehicle_speed"
+    held = dict(zip(roles, (1e6, 6e5, 20.0), strict=True))
+    run = start(car, kernel, *roles).feed(Drive().hold(9.0, **held).samples)
+    assert any(bits(run, FLAGS["pressure_suspect"])) is (mode == "fused")
+    assert run.column("pressure_pa", 2)[-1] == pytest.approx(6e5)
 
 
 def test_a_pressure_that_never_moves_is_stuck(
@@ -673,7 +794,7 @@ def test_a_pressure_below_that_of_the_air(
         "primary_pressure",
     ).feed(drive.samples)
 
-    marks = bits(run, FLAGS["pressure_zero"])
+    marks = bits(run, FLAGS["pressure_contradicts"])
     assert any(marks) is comes
     assert marks[braked // 2 - 1] is comes
     assert not marks[-1]
