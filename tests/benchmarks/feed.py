@@ -10,7 +10,7 @@ from statistics import median
 from time import perf_counter, thread_time
 from typing import TYPE_CHECKING, Final
 
-from side_by_side import Goal, Outcome, Table
+from side_by_side import LOADED, Goal, Outcome, Table
 
 from bstm_daemon.feed.server import FeedServer
 from bstm_daemon.files import shipped_file
@@ -81,7 +81,7 @@ def run(*, full: bool) -> Outcome:
                 f"one reader: at most {CORE_PERCENT} % of a core",
                 CORE_PERCENT / shares["one"],
                 1.0,
-                0.0,
+                LOADED,
             ),
             Goal(
                 f"{STALLED} stalled readers: never {LATE_S * 1e3:.0f} ms",

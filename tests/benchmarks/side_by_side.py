@@ -11,10 +11,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from statistics import median
 from time import process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+LOADED: Final = 0.5
+"""Tolerance of goals in seconds: a loaded machine is half as fast."""
 
 
 @dataclass(frozen=True, slots=True)
