@@ -94,13 +94,14 @@ def fuzz(
 
 
 @pytest.mark.slow
-def test_two_hundred_thousand_frames_pass(tmp_path: Path) -> None:
-    counts = {"frames": 200_000, "states": 1000, "configurations": 50}
+def test_twenty_thousand_frames_pass(tmp_path: Path) -> None:
+    """The first of the ten million of .ci/full."""
+    counts = {"frames": 20_000, "states": 200, "configurations": 20}
 
     done = fuzz(tmp_path, str(SCRIPT), counts=counts)
 
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.endswith("201050 passed\n")
+    assert done.stdout.endswith("20220 passed\n")
     assert not list(tmp_path.iterdir())
 
 

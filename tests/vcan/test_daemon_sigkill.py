@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.vcan
 
 BASE = 0x5B0
-KILLS = int(os.environ.get("BSTM_SIGKILLS", "50"))
+KILLS = int(os.environ.get("BSTM_SIGKILLS", "20"))
 INTERVAL_S = 0.2
 SAVE_S = 0.3
 """A save, and the cycle of 10 ms that asks for it, on a busy machine."""
