@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 LOADED: Final = 0.5
-"""Tolerance of goals in seconds: a loaded machine is half as fast."""
+"""Tolerance of goals in time: a loaded machine is half as fast."""
 
 
 @dataclass(frozen=True, slots=True)

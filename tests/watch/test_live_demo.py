@@ -98,7 +98,9 @@ def test_the_display_shows_a_brake_that_gets_hot(
         os.kill(display, signal.SIGSTOP)
     started.press(key)
     if key != b"q":
+        deadline_s = time.monotonic() + 60.0
         while processes_of(session).get(service):
+            assert time.monotonic() < deadline_s, others[service]
             time.sleep(0.01)
         time.sleep(0.1)
         os.kill(display, signal.SIGCONT)
