@@ -270,7 +270,7 @@ def marched() -> Callable[..., dict[str, dict[str, Any]]]:
     Frames carry their time since boot, which no step of the wall clock
     moves: the result is that of a drive without one, at the time of a saved
     *document*. To be compared: temperatures within *off_k* [K], the sums of
-    a drive within 0.1 %.
+    a drive within 0.5 %, as stamps of a busy machine differ by milliseconds.
     """
 
     def march(
@@ -293,7 +293,7 @@ def marched() -> Callable[..., dict[str, dict[str, Any]]]:
         corners: dict[str, dict[str, float]] = engine.export_state()["corners"]
         return {
             name: {
-                key: pytest.approx(value, rel=1e-3)
+                key: pytest.approx(value, rel=5e-3)
                 if key in (DOSE, DISTANCE)
                 else pytest.approx(value, abs=off_k)
                 for key, value in corner.items()
