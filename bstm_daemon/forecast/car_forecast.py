@@ -336,4 +336,4 @@ def hottest(series: Sequence[Sequence[float]]) -> list[float]:
     """Return the hottest corner of each member; *series* one a corner."""
     if len(series) == 1:
         return [*series[0]]
-    return [max(values) for values in zip(*series, strict=True)]
+    return [*map(max, *series)]

@@ -357,7 +357,7 @@ class _Discs:
 
     def __call__(self, points: Column) -> Column:
         apart = np.concatenate(self.problem.residuals_k(points)).T / WHITE_K
-        prior = (points - self.problem.start) / self.problem.prior
+        prior = self.problem.of_priors(points)
         return np.concatenate((apart, prior), axis=1)
 
     def solved(self) -> tuple[float, dict[str, float]]:

@@ -11,6 +11,7 @@ from bstm_daemon.analysis.matching.baseline import bearable_k
 from bstm_daemon.analysis.matching.identifiability import KNOWN
 from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import rms_of
+from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.analysis.statistics.series import rms
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ def doubts(
     known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior
     for i, key in enumerate(joint.keys):
         moved = log(joint.values[key] / joint.start[key]) / joint.prior[i]
+        moved = float(TUNABLES[key].apart(np.array(moved)))
         # what the drives say nothing of may lie at a bound by chance
         if key in joint.at_bound and known[i]:
             yield f"{key} at its bound {joint.values[key]:.3g}"

@@ -104,11 +104,11 @@ class Problem:
         self.keys = tuple(keys)
         self.runs = tuple(runs)
         self.terms = tuple(terms)
-        tunables = [target.tunable(key) for key in keys]
-        self.start = np.log([target.value(one) for one in tunables])
-        bounds = [one.bounds() for one in tunables]
+        self._tunables = [target.tunable(key) for key in keys]
+        self.start = np.log([target.value(one) for one in self._tunables])
+        bounds = [one.bounds() for one in self._tunables]
         self.lower, self.upper = np.array(bounds).reshape(-1, 2).T
-        self.prior = np.array([one.prior for one in tunables])
+        self.prior = np.array([one.prior for one in self._tunables])
         if noise is not None:
             self.set_noise(noise)
 
@@ -135,8 +135,17 @@ class Problem:
             np.einsum("ij,jk->ki", whitener, apart)
             for whitener, apart in zip(self._whiteners, kelvin, strict=True)
         ]
-        white.append((points - self.start) / self.prior)
-        return np.concatenate(white, axis=1)
+        return np.concatenate([*white, self.of_priors(points)], axis=1)
+
+    def of_priors(self, points: Column) -> Column:
+        """Return the residuals of the priors at *points* (k, p), (k, p)."""
+        deviations = ((points - self.start) / self.prior).T
+        return np.transpose(
+            [
+                one.apart(of)
+                for one, of in zip(self._tunables, deviations, strict=True)
+            ]
+        )
 
     def residuals_k(self, points: Column) -> list[Column]:
         """Return model less measurement [K] by term, (n, k) each."""

@@ -154,7 +154,8 @@ def refine(  # noqa: PLR0913
     apart = [one[:, 0] for one in problem.residuals_k(x[None])]
     data = found.jacobian[: -len(keys)]
     information = data.T @ data
-    precision = information + np.diag(problem.prior**-2.0)
+    # with the priors, which are the last rows
+    precision = found.jacobian.T @ found.jacobian
     return Refinement(
         tuple(keys),
         problem.values(problem.start),
