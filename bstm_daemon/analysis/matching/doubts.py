@@ -13,6 +13,7 @@ from bstm_daemon.analysis.matching.problem import FIRST, OTHER
 from bstm_daemon.analysis.matching.refine import rms_of
 from bstm_daemon.analysis.matching.tunables import TUNABLES
 from bstm_daemon.analysis.statistics.series import rms
+from bstm_daemon.analysis.statistics.student import as_normal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,7 +44,7 @@ def doubts(
     known = np.sqrt(np.diag(joint.covariance)) < KNOWN * joint.prior
     for i, key in enumerate(joint.keys):
         moved = log(joint.values[key] / joint.start[key]) / joint.prior[i]
-        moved = float(TUNABLES[key].apart(np.array(moved)))
+        moved = float(as_normal(np.array(moved), TUNABLES[key].freedom))
         # what the drives say nothing of may lie at a bound by chance
         if key in joint.at_bound and known[i]:
             yield f"{key} at its bound {joint.values[key]:.3g}"

@@ -13,6 +13,7 @@ import numpy as np
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import initial_temperatures, march
 from bstm_daemon.analysis.matching.tunables import SIDES
+from bstm_daemon.analysis.statistics.student import as_normal
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.estimator.corner_model import compile_corner
 
@@ -142,7 +143,7 @@ class Problem:
         deviations = ((points - self.start) / self.prior).T
         return np.transpose(
             [
-                one.apart(of)
+                as_normal(of, one.freedom)
                 for one, of in zip(self._tunables, deviations, strict=True)
             ]
         )

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bstm_daemon.analysis.matching.drives import Drive
-    from bstm_daemon.analysis.statistics.series import Column
     from bstm_daemon.config.sections import Config, CornerConfig
 
 T = TypeVar("T")
@@ -69,8 +68,6 @@ get."""
 EFFECT: Final = "effect"
 """Section of the keys ``effect.<name>.<parameter>``."""
 
-CALIPER_RADIATION: Final = "disc_caliper_radiation"
-
 STRENGTHS: Final = {
     # what seals roll back: 0.1 to 0.5 mm
     "gap_conduction": (0.05, 5.0, 0.4),
@@ -81,13 +78,13 @@ STRENGTHS: Final = {
     # contact of steel clips
     "bracket_conduction": (0.05, 5.0, 0.4),
     # the bridge alone, or all of the inside of a large caliper
-    CALIPER_RADIATION: (0.05, 10.0, 0.3),
+    "disc_caliper_radiation": (0.05, 10.0, 0.3),
     "caliper_fluid_split": (0.05, 5.0, 0.3),
 }
 """Bounds and prior of the strengths of the structure ``extended``: what its
 typical parameters, from a drawing and handbooks, leave open of a path."""
 
-FREEDOM: Final = {CALIPER_RADIATION: 10.0}
+FREEDOM: Final = {"disc_caliper_radiation": 10.0}
 """Degrees of freedom of priors that are Student's t: calipers of one design
 are alike, and those of another see ten times as much of the disc."""
 
@@ -123,9 +120,8 @@ class Tunable:
 
     ``key`` is ``section.name``, where the section is ``effect`` the name is
     ``<effect>.<parameter>``; ``prior`` is the standard deviation of its
-    logarithm; ``table_4_1`` is whether the thesis tunes it. With finite
-    ``freedom`` the logarithm has Student's t distribution of so many degrees
-    of freedom, ``prior`` is its scale.
+    logarithm, the scale where a finite ``freedom`` makes it Student's t;
+    ``table_4_1`` is whether the thesis tunes it.
     """
 
     key: str
@@ -135,21 +131,6 @@ class Tunable:
     unit: str
     table_4_1: bool = False
     freedom: float = inf
-
-    def apart(self, deviations: Column) -> Column:
-        """Return what a normal prior would hold as strongly.
-
-        Args:
-            deviations: how far the logarithm lies off, over ``prior``, of
-                any shape.
-        """
-        if self.freedom == inf:
-            return deviations
-        # half its square is -log of the density (Lange, Little and Taylor,
-        # Robust statistical modeling using the t distribution, 1989), scaled
-        # to that of the normal one near 0
-        square = self.freedom * np.log1p(deviations**2 / self.freedom)
-        return np.asarray(np.sign(deviations) * np.sqrt(square))
 
     def bounds(self) -> tuple[float, float]:
         """Return the bounds of the logarithm; its exponential is inside."""
@@ -312,15 +293,12 @@ class Target:
             one = replace(one, upper=upper, prior=prior)
         if key in self.guessed and key in GUESSED:
             lower, upper, prior = GUESSED[key]
-            return replace(
-                one, lower=lower, upper=upper, prior=prior, freedom=inf
-            )
+            return replace(one, lower=lower, upper=upper, prior=prior)
         for known in self.config.priors:
             if self.corners[0] in known.corners and key in known.names:
                 i = known.names.index(key)
                 if abs(self.setting(key) / known.values[i] - 1.0) < SAME:
-                    deviation = known.deviations[i]
-                    return replace(one, prior=deviation, freedom=inf)
+                    return replace(one, prior=known.deviations[i])
         return one
 
     def of(self, corner: str) -> Target:

@@ -6,6 +6,7 @@ from math import exp
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from bstm_daemon.analysis.identify.writing import Change, write_changed
@@ -14,6 +15,7 @@ from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.effect_values import effect_value
 from bstm_daemon.analysis.matching.identifiability import verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.analysis.matching.problem import Problem
 from bstm_daemon.analysis.matching.tunables import (
     REFINED,
     STRENGTHS,
@@ -73,6 +75,19 @@ def match(extended: Target, made: Callable[..., Drive]) -> Match:
     return match_drives(
         extended.config, [Reading(None, [drive])], beside=False
     )[0]
+
+
+def test_each_strength_has_the_prior_of_its_kind(extended: Target) -> None:
+    radiation = strength_key("disc_caliper_radiation")
+    keys = (radiation, BRACKET)
+    problem = Problem(extended, [], keys, [], [], None)
+    off = np.array([[0.0, 0.8], [-2.0, -0.4]])
+
+    held = problem.of_priors(problem.start + off)
+
+    squares = 10.0 * np.log1p((off[:, 0] / 0.3) ** 2 / 10.0)
+    assert held[:, 0] == pytest.approx(np.sign(off[:, 0]) * np.sqrt(squares))
+    assert held[:, 1] == pytest.approx([2.0, -1.0])
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.tunables import (
@@ -19,9 +20,11 @@ from bstm_daemon.analysis.matching.tunables import (
     TUNABLES,
     Target,
     measured_targets,
+    strength_key,
     targets_of,
     usable,
 )
+from bstm_daemon.analysis.statistics.student import as_normal
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
@@ -73,6 +76,27 @@ def test_variants_are_lanes_of_one_march(key: str, target: Target) -> None:
 
     assert same_structure(programs)
     assert programs[0].floats != programs[1].floats
+
+
+RADIATION = strength_key("disc_caliper_radiation")
+
+
+def test_a_caliper_alike_is_held_closely_and_another_hardly() -> None:
+    """As a normal prior of 0.3 beside 1, and less than one of 0.6 far off."""
+    one = TUNABLES[RADIATION]
+
+    def cost(strength: float) -> float:
+        deviations = np.array([np.log(strength) / one.prior])
+        return 0.5 * float(as_normal(deviations, one.freedom)[0]) ** 2
+
+    assert cost(1.15) == pytest.approx(
+        0.5 * (np.log(1.15) / 0.3) ** 2, rel=0.02
+    )
+    assert cost(8.0) - cost(7.0) < 0.5 * (
+        (np.log(8.0) / 0.6) ** 2 - (np.log(7.0) / 0.6) ** 2
+    )
+    assert one.lower < 0.1
+    assert one.upper == 10.0
 
 
 def test_the_s_table_bends_between_its_speeds(target: Target) -> None:
