@@ -132,6 +132,10 @@ class Block:
         """Return a view of publication *i*."""
         return Instant(self, i)
 
+    def each(self, channel: str) -> array[float]:
+        """Return *channel* of VEHICLE_CHANNELS at each publication."""
+        return self.vehicle[_VEHICLE[channel] :: len(VEHICLE_CHANNELS)]
+
 
 class Instant(NamedTuple):
     """One publication of a block: a view that copies on access."""

@@ -131,6 +131,7 @@ class CourseRisk:
         """The corners' validity at the last publication; that of all of
         ``_block`` is ``_codes_of``."""
         self._codes_of: list[tuple[int, ...]] = []
+        self._speeds_ms: Sequence[float] = ()
         self._published: CarRisk | None = None
         self._raising: list[CornerMarch] = []
 
@@ -163,7 +164,9 @@ class CourseRisk:
         ):
             self._begin_anew()
         self._last_us = time_us
-        speed_ms = instant.vehicle("speed_ms")
+        if block is not self._block:
+            self._look_at(block)
+        speed_ms = self._speeds_ms[i]
         stopped = self._drove and speed_ms < STOPPED_MS
         self._drove = (self._drove and not stopped) or speed_ms > DROVE_MS
         first = self._forecast is None and self._forecast_us is None
@@ -185,14 +188,17 @@ class CourseRisk:
             self._work(self._forecast, steps, duty=duty)
         elif self._raising and not self._raising[0].work_ahead(steps):
             del self._raising[0]
-        if block is not self._block:
-            of = [block.validity[corner.name] for corner in self._corners]
-            self._block, self._codes_of = block, [*zip(*of, strict=True)]
         codes = self._codes_of[i]
         if self._published is None or codes != self._codes:
             self._codes = codes
             self._published = self._record([*map(validity_of, codes)])
         return self._published
+
+    def _look_at(self, block: Block) -> None:
+        """Take what each publication of *block* asks for, once."""
+        of = [block.validity[corner.name] for corner in self._corners]
+        self._block, self._codes_of = block, [*zip(*of, strict=True)]
+        self._speeds_ms = block.each("speed_ms")
 
     def _begin_anew(self) -> None:
         """Drop the forecast after a gap; levels fall as usual."""

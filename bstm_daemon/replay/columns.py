@@ -292,13 +292,16 @@ class AdviceSeries:
         """Return the advice at each publication of *block* with its risk."""
         found = []
         first = 0
-        for i, risk in enumerate(risks):
-            instant = block.at(i)
+        advise, roles = self._following.advise, self._following.advisor.roles
+        for i, (time_us, risk) in enumerate(
+            zip(block.times_us, risks, strict=True)
+        ):
             # in the order of their arrival, as the live engine notes them
-            end = bisect_right(self._earliest_us, instant.time_us)
-            self._following.advisor.roles.waiting += self._samples[first:end]
-            first = max(first, end)
-            found.append(self._following.advise(instant, risk, None)[1])
+            end = bisect_right(self._earliest_us, time_us, first)
+            if end > first:
+                roles.waiting += self._samples[first:end]
+                first = end
+            found.append(advise(block.at(i), risk, None)[1])
         del self._samples[:first], self._earliest_us[:first]
         return found
 
