@@ -190,12 +190,9 @@ def judge(
                 if flags & heeded or need.measured:
                     reasons[i] |= _of_inputs(block.at(i), name, need)
         block.reasons[name] = reasons
-        if not any(reasons) and not all_flags & need.lost:
-            found = array("b", [Validity.VALID] * len(reasons))
-        else:
-            judged = map(partial(_validity, need.lost), reasons, block.flags)
-            found = array("b", judged)
-        block.validity[name] = found
+        block.validity[name] = array(
+            "b", map(partial(_validity, need.lost), reasons, block.flags)
+        )
 
 
 def _validity(lost: int, why: int, flags: int) -> Validity:
