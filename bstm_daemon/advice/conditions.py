@@ -107,7 +107,7 @@ class Conditions:
     __slots__ = (
         *("time_us", "corners", "speed_ms", "brake_power_w", "pressures_pa"),
         *("driver", "level", "is_unsure", "may_boil", "validity"),
-        "margins_k",
+        *("margins_k", "least_k"),
     )
 
     def __init__(
@@ -135,6 +135,7 @@ class Conditions:
         self.margins_k: dict[str, float] = {}
         """Boiling point less fluid and its deviation of each corner; NaN
         where that is not usable."""
+        least_k = inf
         worst = Validity.VALID if corners else Validity.NOT_AVAILABLE
         highest, is_unsure, may_boil = _UNKNOWN, False, False
         for name, corner in corners.items():
@@ -144,7 +145,11 @@ class Conditions:
                 self.margins_k[name] = nan
                 is_unsure = True
                 continue
-            self.margins_k[name] = corner.cautious_margin_k
+            margin_k = corner.cautious_margin_k
+            self.margins_k[name] = margin_k
+            # one that is not known is below nothing
+            if margin_k < least_k:
+                least_k = margin_k
             # where only the bound of an unknown start is raised, a car that
             # is cold is no less likely
             if level is _UNKNOWN:
@@ -159,6 +164,9 @@ class Conditions:
                     and corner.risk.probability >= POSSIBLE
                 )
             )
+        self.least_k = least_k
+        """The smallest margin of usable corners; infinite if there is none: a
+        brake without a thermal model causes no request."""
         self.level = highest
         """The worst level of a usable corner; unknown if there is none."""
         self.is_unsure = is_unsure
@@ -201,18 +209,17 @@ class Conditions:
         ]
         return bool(margins) and all(map(isfinite, margins))
 
-    def margin_k(self, axle: str = "") -> float:
-        """Smallest margin of usable corners [K], of an *axle* "F" or "R".
+    def margin_k(self, axle: str) -> float:
+        """Smallest margin of usable corners [K] of an *axle* "F" or "R".
 
-        Infinite if there is none: a brake without a thermal model causes no
-        request.
+        Infinite if there is none.
         """
-        least = inf
-        for name, margin_k in self.margins_k.items():
-            # one that is not known is below nothing
-            if margin_k < least and name.startswith(axle):
-                least = margin_k
-        return least
+        known = [
+            margin_k
+            for name, margin_k in self.margins_k.items()
+            if name.startswith(axle) and margin_k < inf
+        ]
+        return min(known, default=inf)
 
     def flag(self, role: str) -> bool | None:
         """Return a switch, None where it is not known."""

@@ -34,7 +34,7 @@ class PedalFeel(Machine):
     def update(self, now: Conditions) -> float:
         """Return the factor, 1 = usual; NaN where the margin is unknown."""
         last_us, self._last_us = self._last_us, now.time_us
-        margin_k = now.margin_k()
+        margin_k = now.least_k
         if margin_k == inf:
             return nan
         least, from_k = (
@@ -72,10 +72,10 @@ class FrontIsolation(Machine):
         limit_k = self._config.isolation_margin_k
         if self._requested:
             limit_k += self._config.isolation_hysteresis_k
-        front_k = now.margin_k("F")
         self._requested = (
-            front_k <= limit_k
+            now.least_k <= limit_k
             and now.is_known("R")
+            and (front_k := now.margin_k("F")) <= limit_k
             and now.margin_k("R") >= front_k + REAR_SPARE_K
             and isfinite(now.speed_ms)
             and now.speed_ms <= self._config.isolation_speed_ms

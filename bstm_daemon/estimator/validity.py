@@ -8,7 +8,7 @@ reasons in a table.
 
 from array import array
 from collections.abc import Mapping, Sequence
-from functools import partial, reduce
+from functools import reduce
 from math import inf, isfinite, isnan
 from operator import or_
 from typing import Final, NamedTuple
@@ -189,27 +189,32 @@ def judge(
                     reasons[i] |= _IMPOSSIBLE
                 if flags & heeded or need.measured:
                     reasons[i] |= _of_inputs(block.at(i), name, need)
-        block.reasons[name] = reasons
-        block.validity[name] = array(
-            "b", map(partial(_validity, need.lost), reasons, block.flags)
-        )
+        codes = array("b", reasons.tobytes().translate(_BY_REASONS))
+        if all_flags & need.lost:
+            for i, flags in enumerate(block.flags):
+                if flags & need.lost:
+                    codes[i] = Validity.INVALID
+        block.reasons[name], block.validity[name] = reasons, codes
 
 
-def _validity(lost: int, why: int, flags: int) -> Validity:
-    """Return the validity by reasons and a step's flags."""
-    if why & _IMPOSSIBLE or flags & lost:
+def _validity(why: int) -> Validity:
+    """Return the validity by reasons alone."""
+    if why & _IMPOSSIBLE:
         return Validity.INVALID
     return Validity.DEGRADED if why else Validity.VALID
 
 
+_BY_REASONS: Final = bytes(map(_validity, range(256)))
+
+
 def _is_possible(kelvins: Sequence[float]) -> bool:
     """Whether all *kelvins* are temperatures that a brake has."""
-    # nan fails every comparison, but min and max may pass it over
-    return (
-        isfinite(sum(kelvins))
-        and min(kelvins) > LOWEST_K
-        and max(kelvins) < HIGHEST_K
-    )
+    # a nan would be sorted anywhere; the first and the last of a sorted list
+    # are found quicker than by min and max
+    if not isfinite(sum(kelvins)):
+        return False
+    ordered = sorted(kelvins)
+    return ordered[0] > LOWEST_K and ordered[-1] < HIGHEST_K
 
 
 def _of_inputs(now: Instant, corner: str, need: Needs) -> int:

@@ -306,21 +306,13 @@ class Job:
         """March at most *limit* steps; return how many of them are left."""
         limit += self._done
         end = min(limit, len(self._steps))
-        size = self._batch.width + self._batch.sources
-        # of all jobs of the batch
-        self._batch.state = self._state
-        while self._done < end:
-            step_s = self._steps[self._done]
-            count = 1
-            while (
-                self._done + count < end
-                and self._steps[self._done + count] == step_s
-            ):
-                count += 1
-            out = self._batch.march(self._inputs * count, count, step_s)
-            # rows follow each other as the lanes of a row do
-            self._fluid += out[self._fluid_at :: size]
-            self._done += count
+        if end > self._done:
+            # of all jobs of the batch
+            self._batch.state = self._state
+            self._fluid += self._batch.march_held(
+                self._inputs, self._steps[self._done : end], self._fluid_at
+            )
+            self._done = end
         return limit - end
 
     def course(self) -> Course:

@@ -7,6 +7,7 @@ to sinks.
 
 from __future__ import annotations
 
+import gc
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -121,27 +122,28 @@ def stream_log(  # noqa: PLR0913
     monitor, advice = following.risk, AdviceSeries(following)
     builders = _builders(estimator, sinks, every_us, summaries)
     start = _Start()
-    for events in log.events():
-        if isinstance(state, Mapping) and len(events.time_us):
-            first_us = int(events.time_us[0])
-            _resume(state, first_us, estimator, following)
-            state = None
-        samples = events.time_us, events.role, events.value
-        if monitor is not None:
-            monitor.ingest(*samples)
-            advice.ingest(*samples)
-        for block in estimator.blocks(*samples):
-            start.add(block)
-            more: list[list[Sequence[Any]]] = []
+    with _collected_seldom():
+        for events in log.events():
+            if isinstance(state, Mapping) and len(events.time_us):
+                first_us = int(events.time_us[0])
+                _resume(state, first_us, estimator, following)
+                state = None
+            samples = events.time_us, events.role, events.value
             if monitor is not None:
-                risks = monitor.add(block)
-                more = [[risks], [advice.add(block, risks)]]
-            for builder in builders:
-                builder.add([block], *more)
-        if progress is not None:
-            progress(log.share)
-    for builder in builders:
-        builder.finish()
+                monitor.ingest(*samples)
+                advice.ingest(*samples)
+            for block in estimator.blocks(*samples):
+                start.add(block)
+                more: list[list[Sequence[Any]]] = []
+                if monitor is not None:
+                    risks = monitor.add(block)
+                    more = [[risks], [advice.add(block, risks)]]
+                for builder in builders:
+                    builder.add([block], *more)
+            if progress is not None:
+                progress(log.share)
+        for builder in builders:
+            builder.finish()
     if not builders[0].rows:
         msg = f"{path}: too short for a row every {every_us * 1e-6:g} s"
         raise LogError(msg)
@@ -158,6 +160,20 @@ def stream_log(  # noqa: PLR0913
         builders[0].rows,
         _state_after(begin, estimator, following),
     )
+
+
+@contextmanager
+def _collected_seldom() -> Iterator[None]:
+    """Look for circles of garbage seldom: a replay makes none.
+
+    It makes millions of tuples, and each look costs a walk over them.
+    """
+    before = gc.get_threshold()
+    gc.set_threshold(100 * before[0], *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def _state_after(

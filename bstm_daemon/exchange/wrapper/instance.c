@@ -171,16 +171,17 @@ static void form_row(Memory *m, int64_t to_us)
 static int march(Instance *o)
 {
     Memory *m = &o->m;
-    double sum = 0.0, outputs[FMU_STATES + FMU_LEDGERS];
+    const double step_s = (double)FMU_STEP_US * 1e-6;
+    double sum = 0.0;
     for (int c = 0; c < FMU_CORNERS; c++) {
         const Corner *k = &FMU_CORNER[c];
         const int32_t set = k->set;
         const March one = {
             .s = &o->structure[c], .floats = m->floats + k->floats,
             .state = m->state + k->state, .inputs = m->rows, .set_of = &set,
-            .ledger = m->ledger + k->ledger, .outputs = outputs,
-            .members = 1, .sets = FMU_SETS, .steps = 1,
-            .dt = (double)FMU_STEP_US * 1e-6, .every = 1, .phase = 1};
+            .ledger = m->ledger + k->ledger, .dt = &step_s, .members = 1,
+            .sets = FMU_SETS, .steps = 1, .rows = 1, .durations = 1,
+            .every = 1, .phase = 2};
         if (bstm_march(&one) != 0) return 0;
     }
     for (int i = 0; i < FMU_STATES; i++) sum += m->state[i];

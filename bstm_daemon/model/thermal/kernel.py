@@ -8,12 +8,16 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
-from typing import Literal
+from itertools import groupby
+from typing import Final, Literal
 
 from bstm_daemon.model.thermal import reference
 from bstm_daemon.model.thermal.network import NetworkError
 from bstm_daemon.model.thermal.program import Program, same_structure
 from bstm_daemon.native.loader import Kernel, load_kernel
+
+ALL: Final = -1
+"""Number for all columns of an output."""
 
 
 class Batch:
@@ -145,20 +149,11 @@ class Batch:
         row = members * (self.width + self.sources)
         out = array("d", bytes(8 * row * outputs))
         if self.kernel is not None:
-            self.kernel.march(
-                self.ints,
-                self.floats,
-                self.state,
+            self._march_compiled(
                 inputs,
-                self.input_set,
-                self.ledger,
+                array("d", (dt_s,)),
                 out,
-                members,
-                self.sets,
-                steps,
-                dt_s,
-                output_every,
-                output_phase,
+                (steps, ALL, output_every, output_phase),
             )
             return out
         for member in range(members):
@@ -166,6 +161,58 @@ class Batch:
                 member, inputs, steps, dt_s, output_every, output_phase, out
             )
         return out
+
+    def march_held(
+        self, inputs: array[float], steps_s: Sequence[float], column: int
+    ) -> array[float]:
+        """Advance every member by *steps_s*, its inputs held all the time.
+
+        Args:
+            inputs: [sets, channels] flat, float64.
+            steps_s: lengths of the steps [s].
+            column: of the state, the one that is wanted.
+
+        Returns:
+            [steps, members] flat: *column* after each step.
+
+        Raises:
+            ValueError: a size does not fit.
+        """
+        if self.kernel is not None:
+            out = array("d", bytes(8 * len(self.programs) * len(steps_s)))
+            self._march_compiled(
+                *(inputs, array("d", steps_s), out),
+                (len(steps_s), column, 1, 1),
+            )
+            return out
+        found = array("d")
+        for step_s, run in groupby(steps_s):
+            count = len([*run])
+            out = self.march(inputs * count, count, step_s)
+            found += out[column :: self.width + self.sources]
+        return found
+
+    def _march_compiled(
+        self,
+        inputs: array[float] | memoryview,
+        steps_s: array[float],
+        out: array[float],
+        which: tuple[int, int, int, int],
+    ) -> None:
+        assert self.kernel is not None
+        self.kernel.march(
+            self.ints,
+            self.floats,
+            self.state,
+            inputs,
+            self.input_set,
+            self.ledger,
+            out,
+            steps_s,
+            len(self.programs),
+            self.sets,
+            *which,
+        )
 
     def _march_reference(  # noqa: PLR0913, PLR0917
         self,

@@ -40,29 +40,38 @@ static int fits(Py_ssize_t have, Py_ssize_t rows, Py_ssize_t width)
     return have % width == 0 && have / width == rows;
 }
 
+static int positive(const double *values, Py_ssize_t n)
+{
+    for (Py_ssize_t i = 0; i < n; i++)
+        if (!(values[i] > 0.0)) return 0;
+    return 1;
+}
+
 PyDoc_STRVAR(march_doc,
-"march(ints, floats, state, inputs, set_of_member, ledger, outputs, members,\n"
-"      sets, steps, dt_s, output_every, output_phase)\n\n"
+"march(ints, floats, state, inputs, set_of_member, ledger, outputs, steps_s,\n"
+"      members, sets, steps, column, output_every, output_phase)\n\n"
 "March members through steps; buffers of int32 and float64, contiguous.\n"
 "floats [members, floats]; state [members, nodes + memories], in place;\n"
-"inputs [steps, sets, inputs]; set_of_member [members];\n"
+"inputs [rows, sets, inputs]; set_of_member [members];\n"
 "ledger [members, links + sources], added to; outputs [outputs, members,\n"
-"nodes + memories + sources], filled. ValueError where sizes do not fit.");
+"nodes + memories + sources], or of one column, filled. inputs and steps_s\n"
+"are one for all steps or one for each. ValueError where sizes do not fit.");
 
 static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
 {
-    PyObject *object[7];
+    enum { BUFFERS = 8 };
+    PyObject *object[BUFFERS];
     March m;
     Py_ssize_t every, phase;
-    if (!PyArg_ParseTuple(args, "OOOOOOOnnndnn", &object[0], &object[1],
+    if (!PyArg_ParseTuple(args, "OOOOOOOOnnnnnn", &object[0], &object[1],
                           &object[2], &object[3], &object[4], &object[5],
-                          &object[6], &m.members, &m.sets, &m.steps, &m.dt,
-                          &every, &phase))
+                          &object[6], &object[7], &m.members, &m.sets,
+                          &m.steps, &m.column, &every, &phase))
         return NULL;
-    static const int writable[7] = {0, 0, 1, 0, 0, 1, 1};
-    static const int wide[7] = {4, 8, 8, 8, 4, 8, 8};
-    Py_buffer view[7];
-    if (buffers(7, object, writable, wide, view) < 0) return NULL;
+    static const int writable[BUFFERS] = {0, 0, 1, 0, 0, 1, 1, 0};
+    static const int wide[BUFFERS] = {4, 8, 8, 8, 4, 8, 8, 8};
+    Py_buffer view[BUFFERS];
+    if (buffers(BUFFERS, object, writable, wide, view) < 0) return NULL;
     Structure s;
     const char *wrong = bstm_parse(&s, view[0].buf, view[0].len / 4);
     if (wrong == NULL) {
@@ -72,21 +81,28 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
         if (m.members < 0 || m.members > INT32_MAX || m.sets < 1
             || m.sets > INT32_MAX || m.steps < 0 || every < 1
             || every > INT32_MAX || phase < 1 || phase > INT32_MAX
-            || !(m.dt > 0.0))
+            || m.column < -1 || m.column >= states + ns)
             wrong = "a count or the step is out of range";
         else {
             const Py_ssize_t outputs =
                 m.steps < phase ? 0 : 1 + (m.steps - phase) / every;
-            const Py_ssize_t row = m.members * (states + ns);
+            const Py_ssize_t width = m.sets * s.count[COUNT_INPUTS];
+            m.columns = m.column < 0 ? states + ns : 1;
+            m.rows = fits(view[3].len / 8, 1, width) ? 1 : m.steps;
+            m.durations = view[7].len / 8;
+            const Py_ssize_t row = m.members * m.columns;
             if (view[4].len / 4 != m.members
                 || !fits(view[1].len / 8, m.members, s.count[COUNT_FLOATS])
                 || !fits(view[2].len / 8, m.members, states)
-                || !fits(view[3].len / 8, m.steps,
-                         m.sets * s.count[COUNT_INPUTS])
+                || !fits(view[3].len / 8, m.rows, width)
                 || !fits(view[5].len / 8, m.members,
                          s.count[COUNT_LINKS] + ns)
                 || (row > 0 && view[6].len / 8 / row < outputs))
                 wrong = "a buffer has the wrong size";
+            else if (m.durations != 1 && m.durations != m.steps)
+                wrong = "the durations are neither one nor those of the steps";
+            else if (!positive(view[7].buf, m.durations))
+                wrong = "a step is not above 0 s";
             else if (!bstm_within(view[4].buf, (int)m.members, 0, (int)m.sets))
                 wrong = "a member has no input set";
         }
@@ -100,13 +116,15 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
         m.set_of = view[4].buf;
         m.ledger = view[5].buf;
         m.outputs = view[6].buf;
+        m.dt = view[7].buf;
+        if (m.column < 0) m.column = 0;
         m.every = (int)every;
         m.phase = (int)phase;
         Py_BEGIN_ALLOW_THREADS
         failed = bstm_march(&m);
         Py_END_ALLOW_THREADS
     }
-    for (int i = 0; i < 7; i++) PyBuffer_Release(&view[i]);
+    for (int i = 0; i < BUFFERS; i++) PyBuffer_Release(&view[i]);
     if (wrong != NULL) {
         PyErr_SetString(PyExc_ValueError, wrong);
         return NULL;

@@ -412,8 +412,9 @@ INLINE void link_energy(const int W, const Structure *s, const Work *w,
     SET(y, q[l] + gdt * (g[l] * (a[l] - b[l])));
 }
 
-/* One step of W members; their inputs are already in w->slots. */
-INLINE void step(const int W, const Structure *s, Work *w, double dt)
+/* One step of W members; their inputs are already in w->slots, `same` as in
+ * the step before or not. */
+INLINE void step(const int W, const Structure *s, Work *w, double dt, int same)
 {
     const int n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
     const int nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
@@ -437,7 +438,7 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt)
     }
 
     memcpy(slots, state, sizeof(double) * (size_t)(n + nm) * W);
-    evaluate(W, s, w, 1);
+    evaluate(W, s, w, !same);
     for (int i = 0; i < n; i++) {
         const size_t at = (size_t)i * W;
         product(W, s, w, i, i, w->base + at);
@@ -547,7 +548,8 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
     const Structure *s = m->s;
     const size_t ni = s->count[COUNT_INPUTS], ns = s->count[COUNT_SOURCES];
     const size_t states = s->count[COUNT_NODES] + s->count[COUNT_MEMORIES];
-    const size_t nl = s->count[COUNT_LINKS], width = states + ns;
+    const size_t nl = s->count[COUNT_LINKS], width = m->columns;
+    const size_t first_column = m->column, end = first_column + width;
     const size_t floats = s->count[COUNT_FLOATS];
     /* the last member fills the lanes that are left over */
     size_t member[LANES];
@@ -560,20 +562,21 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
     double *out = m->outputs;
     int due = m->phase;
     for (ptrdiff_t t = 0; t < m->steps; t++) {
-        const double *row = m->inputs + (size_t)t * m->sets * ni;
-        for (int l = 0; l < W; l++) {
+        const int same = t > 0 && m->rows == 1;
+        const double *row =
+            m->inputs + (same ? 0 : (size_t)t * m->sets * ni);
+        for (int l = 0; l < W && !same; l++) {
             const double *channels = row + (size_t)m->set_of[member[l]] * ni;
             for (size_t c = 0; c < ni; c++)
                 w->slots[(states + c) * W + l] = channels[c];
         }
-        step(W, s, w, m->dt);
+        step(W, s, w, m->dt[m->durations == 1 ? 0 : t], same);
         if (--due == 0) {
             for (int l = 0; l < W; l++) {
                 double *to = out + member[l] * width;
-                for (size_t i = 0; i < states; i++)
-                    to[i] = w->state[i * W + l];
-                for (size_t i = 0; i < ns; i++)
-                    to[states + i] = w->ledger[(nl + i) * W + l];
+                for (size_t i = first_column; i < end; i++)
+                    *to++ = i < states ? w->state[i * W + l]
+                                       : w->ledger[(nl + i - states) * W + l];
             }
             out += (size_t)m->members * width;
             due = m->every;

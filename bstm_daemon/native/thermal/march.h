@@ -19,12 +19,15 @@ typedef struct {
     const Structure *s;
     const double *floats;     /* [members][floats] */
     double *state;            /* [members][nodes + memories] */
-    const double *inputs;     /* [steps][sets][inputs] */
+    const double *inputs;     /* [rows][sets][inputs] */
     const int32_t *set_of;    /* [members] */
     double *ledger;           /* [members][links + sources] */
-    double *outputs;          /* [outputs][members][state + sources] */
-    ptrdiff_t members, sets, steps;
-    double dt;
+    double *outputs;          /* [outputs][members][columns] */
+    const double *dt;         /* [durations] of the steps */
+    /* rows and durations are one for all steps, or one for each */
+    ptrdiff_t members, sets, steps, rows, durations;
+    /* of the state and the sources that are put out */
+    ptrdiff_t column, columns;
     int every, phase;
 } March;
 

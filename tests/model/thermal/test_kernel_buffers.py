@@ -59,10 +59,11 @@ def arguments(**changes: Any) -> list[Any]:
         "input_set": array("i", [0]),
         "ledger": array("d", [0.0] * 5),
         "out": array("d", [0.0] * (6 * STEPS)),
+        "steps_s": array("d", [0.05]),
         "members": 1,
         "sets": 1,
         "steps": STEPS,
-        "dt_s": 0.05,
+        "column": -1,
         "every": 1,
         "phase": 1,
         **changes,
@@ -164,8 +165,13 @@ def test_truncated_ints(compiled: Kernel, length: int) -> None:
         {"steps": 2**62, "sets": 2, "inputs": array("d")},
         {"steps": -1},
         {"steps": 2**62},
-        {"dt_s": 0.0},
-        {"dt_s": float("nan")},
+        {"steps_s": array("d")},
+        {"steps_s": array("d", [0.05] * (STEPS - 1))},
+        {"steps_s": array("d", [0.05, 0.0, 0.05])},
+        {"steps_s": array("d", [float("nan")])},
+        {"column": -2},
+        {"column": 6},
+        {"column": 0, "out": array("d", [0.0] * (STEPS - 1))},
         {"every": 0},
         {"phase": 0},
         {"phase": 2**40},
@@ -186,6 +192,34 @@ def test_a_constant_buffer_is_not_written(compiled: Kernel) -> None:
     """State, ledger and output must be writable."""
     with pytest.raises(BufferError):
         compiled.march(*arguments(state=bytes(40)))
+
+
+@pytest.mark.parametrize("members", [1, 3, 16, 21])
+def test_held_inputs_march_as_repeated_ones(
+    kernel: Kernel | None, members: int
+) -> None:
+    """To the last bit, in blocks of any width, whatever the steps."""
+    steps_s = [5.0, 5.0, 20.0, 0.05, 0.05, 36.0]
+    held, repeated = (
+        Batch([PROGRAM] * members, 300.0, kernel=kernel) for _ in range(2)
+    )
+    inputs = array("d", [290.0, 100.0] * members)
+    for member in range(members):
+        inputs[2 * member] += member
+        held.settle(300.0 + member, member)
+    repeated.state = held.state[:]
+    fluid = held.names.index("fluid")
+
+    found = held.march_held(inputs, steps_s, fluid)
+
+    rows = [repeated.march(inputs, 1, step_s) for step_s in steps_s]
+    width = held.width + held.sources
+    expected = [kelvin for row in rows for kelvin in row[fluid::width]]
+    assert [*found] == expected
+    assert held.state == repeated.state
+    assert held.ledger == repeated.ledger
+    assert min(held.ledger[-1], found[-1]) > 0.0
+    assert len({*found}) == len(found)
 
 
 @pytest.mark.parametrize(
