@@ -148,8 +148,7 @@ class Conditions:
             margin_k = corner.cautious_margin_k
             self.margins_k[name] = margin_k
             # one that is not known is below nothing
-            if margin_k < least_k:
-                least_k = margin_k
+            least_k = min(least_k, margin_k)
             # where only the bound of an unknown start is raised, a car that
             # is cold is no less likely
             if level is _UNKNOWN:

@@ -7,7 +7,7 @@ reasons in a table.
 """
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableSequence, Sequence
 from functools import reduce
 from math import inf, isfinite, isnan
 from operator import or_
@@ -189,12 +189,19 @@ def judge(
                     reasons[i] |= _IMPOSSIBLE
                 if flags & heeded or need.measured:
                     reasons[i] |= _of_inputs(block.at(i), name, need)
+        block.reasons[name] = reasons
         codes = array("b", reasons.tobytes().translate(_BY_REASONS))
         if all_flags & need.lost:
-            for i, flags in enumerate(block.flags):
-                if flags & need.lost:
-                    codes[i] = Validity.INVALID
-        block.reasons[name], block.validity[name] = reasons, codes
+            _invalidate(codes, need.lost, block.flags)
+        block.validity[name] = codes
+
+
+def _invalidate(
+    codes: MutableSequence[int], lost: int, all_flags: Sequence[int]
+) -> None:
+    for i, flags in enumerate(all_flags):
+        if flags & lost:
+            codes[i] = Validity.INVALID
 
 
 def _validity(why: int) -> Validity:

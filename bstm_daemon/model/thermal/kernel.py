@@ -150,9 +150,7 @@ class Batch:
         out = array("d", bytes(8 * row * outputs))
         if self.kernel is not None:
             self._march_compiled(
-                inputs,
-                array("d", (dt_s,)),
-                out,
+                *(self.kernel, inputs, array("d", (dt_s,)), out),
                 (steps, ALL, output_every, output_phase),
             )
             return out
@@ -181,7 +179,7 @@ class Batch:
         if self.kernel is not None:
             out = array("d", bytes(8 * len(self.programs) * len(steps_s)))
             self._march_compiled(
-                *(inputs, array("d", steps_s), out),
+                *(self.kernel, inputs, array("d", steps_s), out),
                 (len(steps_s), column, 1, 1),
             )
             return out
@@ -194,13 +192,13 @@ class Batch:
 
     def _march_compiled(
         self,
+        kernel: Kernel,
         inputs: array[float] | memoryview,
         steps_s: array[float],
         out: array[float],
         which: tuple[int, int, int, int],
     ) -> None:
-        assert self.kernel is not None
-        self.kernel.march(
+        kernel.march(
             self.ints,
             self.floats,
             self.state,
