@@ -36,7 +36,7 @@ _ALONE: Final = frozenset(
     }
 )
 """Words that mean "no value" alone."""
-_DENIED: Final = frozenset({"available", "avail", "valid"})
+_DENIED: Final = re.compile(r"\bnot (available|avail|valid)\b")
 """Words that mean "no value" after ``not`` only."""
 _BESIDE: Final = frozenset(
     {
@@ -75,21 +75,9 @@ def names_no_value(name: str) -> bool:
     """
     if name.strip().lower() in {"n/a", "n.a."}:
         return True
-    words = [word.lower() for word in _WORD.findall(name)]
-    found = False
-    position = 0
-    while position < len(words):
-        word = words[position]
-        following = words[position + 1 : position + 2]
-        if word == "not" and _DENIED.issuperset(following) and following:
-            found = True
-            position += 1
-        elif word in _ALONE:
-            found = True
-        elif word not in _BESIDE:
-            return False
-        position += 1
-    return found
+    text = " ".join(_WORD.findall(name)).lower()
+    words = {*_DENIED.sub("invalid", text).split()}
+    return words <= _ALONE | _BESIDE and not words <= _BESIDE
 
 
 _LENIENT_HINT: Final = "set strict = false in its [[bus]] to load it anyway"
@@ -273,7 +261,8 @@ def _load(text: str) -> tuple[Database, Survey]:
             f"times, long names and CAN FD marks with them: {error.e_dbc}"
         )
         survey.defects.append(dbc_text.DbcDefect(attributes[0].line, reason))
-        return _parse(dbc_text.without(cleaned, attributes)), survey
+        edits = [attribute.dropped() for attribute in attributes]
+        return _parse(dbc_text.edited(cleaned, edits)), survey
 
 
 def _parse(text: str) -> Database:

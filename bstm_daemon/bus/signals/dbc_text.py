@@ -185,11 +185,6 @@ def statements_of(text: str) -> list[Statement]:
     return found
 
 
-def without(text: str, statements: list[Statement]) -> str:
-    """Return *text* with *statements* blank; lines keep their numbers."""
-    return edited(text, [statement.dropped() for statement in statements])
-
-
 def edited(text: str, edits: list[Edit]) -> str:
     """Return *text* with *edits* made; of two that overlap, the first."""
     pieces: list[str] = []

@@ -20,9 +20,9 @@ from bstm_daemon.bus.signals.dbc import (
 from bstm_daemon.bus.signals.dbc_survey import MessageOutline
 from bstm_daemon.bus.signals.dbc_text import (
     Statement,
+    edited,
     guess_encoding,
     statements_of,
-    without,
 )
 from bstm_daemon.errors import ConfigError
 
@@ -337,7 +337,8 @@ def test_statements_lie_where_they_say(lines: list[str]) -> None:
         and text.count("\n", 0, one.start) + 1 == one.line
         for one in found
     )
-    assert without(text, found).count("\n") == text.count("\n")
+    blank = edited(text, [one.dropped() for one in found])
+    assert blank.count("\n") == text.count("\n")
 
 
 @given(lines=st.lists(LINES, max_size=30))
