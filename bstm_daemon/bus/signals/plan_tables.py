@@ -16,7 +16,6 @@ from bstm_daemon.bus.signals.extraction import (
     INT64_REACH,
     MessagePlan,
     Output,
-    RawSignal,
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 
@@ -115,18 +114,6 @@ def plan_tables(signal_map: SignalMap) -> PlanTables:
 def _add_row(tables: PlanTables, plan: MessagePlan, output: Output) -> None:
     signal = plan.signals[output.index]
     scaling = _known(plan, output) or 0
-    first = len(tables.gaps)
-    tables.gaps.extend(sorted(signal.unavailable))
-    tables.outputs.extend(_integers(plan, output, scaling))
-    tables.outputs.extend((first, len(tables.gaps)))
-    tables.factors.extend(_reals(signal, output, scaling))
-
-
-def _integers(
-    plan: MessagePlan, output: Output, scaling: int
-) -> tuple[int, ...]:
-    """Return the whole numbers of a row, up to those of its gaps."""
-    signal = plan.signals[output.index]
     raw = _SIGNED if signal.signed else _UNSIGNED
     if signal.floating:
         raw = _FLOATING
@@ -136,33 +123,27 @@ def _integers(
     base = min(signal.start // 8, last)
     lowest = signal.start - 8 * base
     beyond = lowest + signal.length - 8 * _WINDOW_BYTES
-    whole = scaling == _WHOLE
-    return (
-        output.role,
-        base,
-        max(-beyond, 0) if signal.big_endian else lowest,
-        max(beyond, 0),
-        int(signal.big_endian),
-        signal.length,
-        raw,
-        scaling,
-        int(output.flag),
-        int(signal.scale) if whole else 0,
-        int(signal.offset) if whole else 0,
+    line, no_line = (signal.scale, signal.offset), (0, 0)
+    whole, real = (line, no_line) if scaling == _WHOLE else (no_line, line)
+    first_gap = len(tables.gaps)
+    tables.gaps.extend(sorted(signal.unavailable))
+    tables.outputs.extend(
+        (
+            output.role,
+            base,
+            max(-beyond, 0) if signal.big_endian else lowest,
+            max(beyond, 0),
+            signal.big_endian,
+            signal.length,
+            raw,
+            scaling,
+            output.flag,
+            *map(int, whole),
+            *(first_gap, len(tables.gaps)),
+        )
     )
-
-
-def _reals(
-    signal: RawSignal, output: Output, scaling: int
-) -> tuple[float, ...]:
-    whole = scaling == _WHOLE
-    return (
-        0.0 if whole else float(signal.scale),
-        0.0 if whole else float(signal.offset),
-        output.gain,
-        output.bias,
-        output.low,
-        output.high,
+    tables.factors.extend(
+        (*real, output.gain, output.bias, output.low, output.high)
     )
 
 
