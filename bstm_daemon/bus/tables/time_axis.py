@@ -69,14 +69,15 @@ class TimeAxis:
         if unit == "iso8601":
             return _dates(texts(cells))
         with np.errstate(all="ignore"):
-            if unit == "hhmmss":
-                join, us = self._past_midnight, _clock_us(cells)
+            is_clock = unit == "hhmmss"
+            if is_clock:
+                us = _clock_us(cells)
             else:
-                join = self._joined
                 us = numbers(cells).value * _PER_UNIT_US[unit]
             good = np.abs(us) < _LARGEST_US
             stamps = np.where(good, np.round(us), 0).astype(np.int64)
-        stamps[good] = join(stamps[good])
+        if good.any():
+            stamps[good] = self._joined(stamps[good], is_clock=is_clock)
         return stamps, good
 
     def _found_unit(self, cells: list[str] | npt.NDArray[Any]) -> str:
@@ -108,24 +109,21 @@ class TimeAxis:
         self.unit, self.found_by = unit, reason
         return unit
 
-    def _past_midnight(self, raw_us: Integers) -> Integers:
-        """Return times of day as one time that goes on after midnight."""
-        if not len(raw_us):
-            return raw_us
+    def _joined(self, raw_us: Integers, *, is_clock: bool) -> Integers:
+        """Return *raw_us* as one time: past midnight, or from lap to lap."""
         last = raw_us[0] if self._last_raw_us is None else self._last_raw_us
-        back = np.diff(raw_us, prepend=last) < -_DAY_US // 2
-        along = self._offset_us + _DAY_US * np.cumsum(back)
+        before = np.concatenate([[last], raw_us[:-1]])
+        if is_clock:
+            offsets = _DAY_US * (raw_us - before < -_DAY_US // 2)
+        else:
+            offsets = self._lap_offsets(raw_us, before)
+        along: Integers = self._offset_us + np.cumsum(offsets)
         self._offset_us = int(along[-1])
         self._last_raw_us = int(raw_us[-1])
         return raw_us + along
 
-    def _joined(self, raw_us: Integers) -> Integers:
-        """Return *raw_us* with each new lap set behind the one before it."""
-        if not len(raw_us):
-            return raw_us
-        first = int(raw_us[0])
-        last = first if self._last_raw_us is None else self._last_raw_us
-        before = np.concatenate([[last], raw_us[:-1]])
+    def _lap_offsets(self, raw_us: Integers, before: Integers) -> Integers:
+        """Return what sets each new lap behind the one before it."""
         forward = np.diff(raw_us)
         forward = forward[forward > 0]
         if not self._step_us and len(forward):
@@ -139,10 +137,7 @@ class TimeAxis:
             gap = own if own > 0 else self._step_us
             offsets[place] = int(before[place]) - own + gap
         self.laps_joined += int(np.count_nonzero(anew))
-        along = self._offset_us + np.cumsum(offsets)
-        self._offset_us = int(along[-1])
-        self._last_raw_us = int(raw_us[-1])
-        return raw_us + along
+        return offsets
 
 
 def _clock_us(cells: list[str] | npt.NDArray[Any]) -> Floats:
