@@ -64,8 +64,7 @@ class FrameRecords:
         """Return time [us], bus number and frame of a ready one."""
         if not 0 <= index < self.ready:
             raise IndexError(index)
-        time_us, bus, frame = self.at(index)
-        return time_us, bus, frame
+        return self.at(index)
 
     def __iter__(self) -> Iterator[tuple[int, int, Frame]]:
         """Yield the ready ones."""

@@ -86,29 +86,22 @@ class LinkEvent(StrEnum):
 class Link(Protocol):
     """One bus of the vehicle, live."""
 
-    @property
-    def channel(self) -> str:
-        """Name of the interface or adapter."""
-
-    @property
-    def state(self) -> LinkState:
-        """Condition as last seen."""
+    channel: str
+    """Name of the interface or adapter."""
+    state: LinkState
+    """Condition as last seen."""
+    receive_buffer_bytes: int | None
+    """Receive buffer as the kernel counts it; None where unknown."""
+    counts: Counter[LinkEvent]
+    """All that happened since the start, but for frames ``dropped``."""
 
     @property
     def reason(self) -> str:
         """Why nothing can come in or go out; empty if all is well."""
 
     @property
-    def receive_buffer_bytes(self) -> int | None:
-        """Receive buffer as the kernel counts it; None where unknown."""
-
-    @property
     def dropped(self) -> int:
         """Frames lost because they were not read in time, since the start."""
-
-    @property
-    def counts(self) -> Counter[LinkEvent]:
-        """Everything else that happened, since the start."""
 
     def open(self) -> bool:
         """Try to begin receiving; False, with ``reason``, where it fails.

@@ -145,11 +145,7 @@ class PortableLink:
         )
 
     def poll(self) -> None:
-        """Open what is closed.
-
-        Raises:
-            ConfigError: As :meth:`open`.
-        """
+        """Open what is closed; raises as :meth:`open`."""
         if self._bus is None:
             self.open()
 
@@ -159,11 +155,7 @@ class PortableLink:
         extended: bool,  # noqa: FBT001  (part of a frame's key)
         data: bytes,
     ) -> link.SendResult:
-        """Send a classic frame now or never.
-
-        Raises:
-            ValueError: *data* is longer than ``CLASSIC_BYTES``.
-        """
+        """Send a classic frame now or never, as :class:`Link` says."""
         import can  # noqa: PLC0415
 
         link.require_classic(data)

@@ -100,17 +100,10 @@ class FrameReceiver:
         self._only: frozenset[int] | None = None
         self._only_rising: array[int] | None = None
 
-    @property
-    def only(self) -> frozenset[int] | None:
-        """Ids with their flag bits to let through; None for all."""
-        return self._only
-
-    @only.setter
-    def only(self, words: frozenset[int] | None) -> None:
-        self._only = words
-        self._only_rising = (
-            None if words is None else array("I", sorted(words))
-        )
+    def let_through(self, words: Collection[int]) -> None:
+        """Drop all data frames but those with these ids and flag bits."""
+        self._only = frozenset(words)
+        self._only_rising = array("I", sorted(self._only))
 
     def receive_records(
         self, records: FrameRecords, bus: int, limit: int

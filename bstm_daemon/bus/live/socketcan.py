@@ -168,9 +168,11 @@ class SocketcanLink:
                     kernel_filters(self._wanted),
                 )
             else:
-                receiver.only = frozenset(
-                    can_id | (EXTENDED_FLAG if extended else 0)
-                    for can_id, extended in self._wanted
+                receiver.let_through(
+                    [
+                        can_id | (EXTENDED_FLAG if extended else 0)
+                        for can_id, extended in self._wanted
+                    ]
                 )
         raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, ERROR_CLASSES)
         if self._fd:
@@ -258,13 +260,10 @@ class SocketcanLink:
         extended: bool,  # noqa: FBT001  (part of a frame's key)
         data: bytes,
     ) -> SendResult:
-        """Send a classic frame now or never.
+        """Send a classic frame now or never, as :class:`Link` says.
 
         A controller that is bus-off gets none: the kernel would take it and
         lose it in silence.
-
-        Raises:
-            ValueError: *data* is longer than ``CLASSIC_BYTES``.
         """
         require_classic(data)
         receiver = self._receiver
