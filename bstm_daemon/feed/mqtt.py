@@ -243,12 +243,11 @@ def run_bridge(
                 if bridge is not None:
                     bridge.report("silent")
                 continue
-            if bridge is None:
-                bridge = Bridge(client, record["vehicle"], discovery)
-            elif record["vehicle"] != bridge.vehicle:
+            if bridge is not None and record["vehicle"] != bridge.vehicle:
                 bridge.close()
-                published_s = float("-inf")
+                bridge, published_s = None, float("-inf")
                 client = new_client(url, credentials)
+            if bridge is None:
                 bridge = Bridge(client, record["vehicle"], discovery)
             bridge.report("online")
             # half a publication of jitter
