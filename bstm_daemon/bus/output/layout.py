@@ -64,7 +64,12 @@ UNKNOWN_REASONS: Final = 0xFF
 LATER_S: Final = 1e9
 """A time beyond the range of any signal."""
 
-_PER_SI: Final = {"mm": 1e3, "km": 1e-3}
+_OF_SI: Final[Mapping[str, Callable[[float], float]]] = {
+    "mm": lambda length_m: length_m * 1e3,
+    "km": lambda length_m: length_m * 1e-3,
+    "degC": to_celsius,
+}
+"""Quantities in SI as units that are not."""
 
 # DataIDList[counter] = key xor the masks of the bits set in the counter. The
 # list is linear, so a flipped counter bit changes the CRC in a known way;
@@ -201,9 +206,9 @@ def _quantity(  # noqa: PLR0913  (the columns of the table)
 ) -> Signal:
     """Return a quantity whose *value*, or its path, is in SI."""
     get = _getter(value) if isinstance(value, str) else value
-    if unit in _PER_SI:
-        in_si, factor = get, _PER_SI[unit]
-        get = lambda source: in_si(source) * factor  # noqa: E731
+    if unit in _OF_SI:
+        in_si, convert = get, _OF_SI[unit]
+        get = lambda source: convert(in_si(source))  # noqa: E731
     top = (1 << length) - 1
     choices = {top: "not_available", top - 1: "error"}
     return Signal(
@@ -223,12 +228,7 @@ def _celsius(
     name: str, start: int, length: int, path: str, scale: float = 1.0
 ) -> Signal:
     """Return a temperature, whose value is in kelvin."""
-    kelvin = _getter(path)
-    return _quantity(
-        *(name, start, length, lambda source: to_celsius(kelvin(source))),
-        *(scale, "degC"),
-        offset=-60.0,
-    )
+    return _quantity(name, start, length, path, scale, "degC", offset=-60.0)
 
 
 def _percent(
