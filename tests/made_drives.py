@@ -13,6 +13,7 @@ import numpy as np
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive, Thermocouple
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.corner_model import compile_corner
 
 if TYPE_CHECKING:
@@ -31,6 +32,18 @@ PA_W: Final = 50.0
 
 Profile = tuple[tuple[float, float, float], ...]
 """Stretches of speed [m/s], brake power [W], duration [s]."""
+
+
+def effect_entries(
+    strengths: Mapping[str, float], form: Mapping[str, float] | None = None
+) -> list[EffectConfig]:
+    """Return ``[[effect]]`` entries of *strengths* by name, in *form*."""
+    return [
+        EffectConfig(
+            name=name, parameters={"strength": strength, **(form or {})}
+        )
+        for name, strength in strengths.items()
+    ]
 
 
 def driven(

@@ -204,7 +204,7 @@ class Garage:
         if name not in self._driven:
             drive = self._simulated(name, preset_effects(self.world.preset))
             recording = recorded(
-                name, events_of(drive), self.target.config, present()
+                name, [events_of(drive)], self.target.config, present()
             )
             self._driven[name] = Driven(drive, recording)
         return self._driven[name]
@@ -228,7 +228,7 @@ class Garage:
             events = events_of(
                 drive, measured_temperatures(drive.truth, suite)
             )
-            return recorded(name, events, self.target.config, present())
+            return recorded(name, [events], self.target.config, present())
         truth = base.drive.truth
         if not set(hidden) <= OF_THERMOCOUPLES:
             truth = self._truth(name, effects)
@@ -285,7 +285,7 @@ class Garage:
                 seed=self.seed + 31 + i,
             )
             drives.append(
-                recorded(name, events_of(drive), config, present()).drive
+                recorded(name, [events_of(drive)], config, present()).drive
             )
         target = targets_of(config, ["FL", "FR"])[0]
         keys, _ = usable(target, refined_keys(target))

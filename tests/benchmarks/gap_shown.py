@@ -105,7 +105,7 @@ def _made(
     there = compare(garage.target, held_out)
     squares, noise, points = _squares(figures)
     squares[TRUE] = _by_node(
-        there, there.residuals_k(true.x[None], true.effects())
+        there, there.residuals_k(true.x[None], true.entries)
     )
     reference = _nothing_hidden(case, garage, one)
     clear = compare(

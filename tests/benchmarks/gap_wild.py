@@ -377,7 +377,7 @@ class Car:
         )
         if hidden is not None:
             driven = _logged(driven, hidden)
-        recording = recorded(name, events_of(driven), self.config, present())
+        recording = recorded(name, [events_of(driven)], self.config, present())
         return Driven(driven, recording)
 
     @property

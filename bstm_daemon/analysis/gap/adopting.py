@@ -11,12 +11,13 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.changes import PREFIX, factor_of, is_change, said
 from bstm_daemon.analysis.gap.comparison import Comparison
-from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, Fit, effect_entries
+from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, Fit
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.matching.changes import value_changes
 from bstm_daemon.analysis.matching.learned import entry, settings_of
 from bstm_daemon.config.estimates import ChangeConfig
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
 from bstm_daemon.model.effects.composed import is_composed
 
@@ -65,8 +66,10 @@ def written(
             there = {COMPOSED}
             continue
         if not is_change(name):
-            form = comparison.forms.get(name)
-            effects += effect_entries({name: strength}, said_of, form)
+            own = {"strength": strength, **comparison.forms.get(name, {})}
+            effects.append(
+                EffectConfig(name=name, parameters=own, provenance=said_of)
+            )
             continue
         effects += comparison.trials[name].effects_at(strength)
         said_of["meaning"] = said(name, strength)

@@ -11,7 +11,6 @@ pressure and torque of every sample. What thermocouples would then show is
 the model's own prediction, never the simulated brake's.
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
@@ -358,7 +357,7 @@ def samples_of(
         [np.full(len(time), role, np.int32) for time, role, _ in parts]
     )
     values = np.concatenate([value for _, _, value in parts])
-    return Events(stamps[order], roles[order], values[order], Counter())
+    return Events(stamps[order], roles[order], values[order])
 
 
 def _predicted(

@@ -105,10 +105,6 @@ class Fit:
             return a - half, min(a + half, 0.0)
         return max(a - half, 0.0), a + half
 
-    def effects(self) -> list[EffectConfig]:
-        """Return the effects as entries of the configuration."""
-        return list(self.entries)
-
     def bend(self, comparison: Comparison) -> float:
         """Return how far the tunables moved, in deviations of their priors.
 
@@ -116,22 +112,6 @@ class Fit:
         """
         moved = (self.x - comparison.start) / comparison.prior
         return float(np.sqrt(np.mean(moved**2)))
-
-
-def effect_entries(
-    strengths: Mapping[str, float],
-    provenance: Mapping[str, object] | None = None,
-    form: Mapping[str, float] | None = None,
-) -> list[EffectConfig]:
-    """Return ``[[effect]]`` entries of *strengths* by name, in *form*."""
-    return [
-        EffectConfig(
-            name=name,
-            parameters={"strength": strength, **(form or {})},
-            provenance=dict(provenance or {}),
-        )
-        for name, strength in strengths.items()
-    ]
 
 
 def scale_basis(comparison: Comparison) -> Column:

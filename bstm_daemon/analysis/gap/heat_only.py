@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.fitting import FORM_ERROR, effect_entries
+from bstm_daemon.analysis.gap.fitting import FORM_ERROR
 from bstm_daemon.analysis.gap.force_balance import ForceComparison, Forces
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.recording import Recording
@@ -83,15 +83,11 @@ class ForceGap:
     @property
     def entries(self) -> Entries:
         """What can be adopted, with its provenance."""
-        return Entries(self.effects())
-
-    def effects(self) -> list[EffectConfig]:
-        """Return what can be adopted, with its provenance."""
-        found = []
-        for name, strength in self.strengths.items():
-            found += effect_entries(
-                {name: strength},
-                {
+        effects = [
+            EffectConfig(
+                name=name,
+                parameters={"strength": strength},
+                provenance={
                     "source": "bstm gap, forces",
                     "data": list(self.recordings),
                     "date": time.strftime("%Y-%m-%d"),
@@ -99,7 +95,9 @@ class ForceGap:
                     **self.naming.provenance(name),
                 },
             )
-        return found
+            for name, strength in self.strengths.items()
+        ]
+        return Entries(effects)
 
 
 def find_force_gap(
@@ -175,16 +173,9 @@ def _linearised(
         found.append(
             Signature(name, white, 0.0 * white, change, cls.either_sign)
         )
-    return (
-        Linearised(
-            layout.whiten(comparison.base_n),
-            layout.whiten(comparison.jacobian_n),
-            tuple(found),
-            tuple(n for n, why in unseen.items() if why.startswith("changes")),
-            (),
-        ),
-        unseen,
-    )
+    residual = layout.whiten(comparison.base_n)
+    jacobian = layout.whiten(comparison.jacobian_n)
+    return Linearised(residual, jacobian, tuple(found), (), ()), unseen
 
 
 def _strengths(
@@ -203,14 +194,10 @@ def _strengths(
     strengths, deviations = {}, {}
     for i, name in enumerate(names):
         bounds = effect_class(name).parameters()[0]
-        strengths[name] = float(
-            np.clip(terms.strengths[i], bounds.lower, bounds.upper)
-        )
-        deviations[name] = float(
-            np.hypot(
-                terms.covariance[i, i] ** 0.5, FORM_ERROR * strengths[name]
-            )
-        )
+        a = float(np.clip(terms.strengths[i], bounds.lower, bounds.upper))
+        noise = terms.covariance[i, i] ** 0.5
+        strengths[name] = a
+        deviations[name] = float(np.hypot(noise, FORM_ERROR * a))
     return strengths, deviations
 
 
@@ -234,10 +221,9 @@ def _errors(
     project = Projector(
         comparison.layout.whiten(comparison.jacobian_n), comparison.prior
     )
-    residual = comparison.base_n
     found = []
     for effects in ({}, strengths):
-        apart = residual.copy()
+        apart = comparison.base_n
         for name, strength in effects.items():
             one = EffectConfig(name=name, parameters={"strength": 1.0})
             apart = apart + strength * comparison.changed_n(one)
@@ -250,10 +236,8 @@ def _errors(
 
 def _work(comparison: ForceComparison) -> tuple[float, float]:
     """Return the work of pressure and of motion while braking [J]."""
-    pressed, motion = (
-        comparison.column("whole_n"),
-        comparison.column("motion_n"),
-    )
+    pressed = comparison.column("whole_n")
+    motion = comparison.column("motion_n")
     braked = (comparison.column("braked") > 0.0) | (
         motion > comparison.config.heat.brake_on_force_n
     )

@@ -150,7 +150,7 @@ def show(
         comparison.noise,
     )
     apart = {
-        name: there.residuals_k(one.x[None], one.effects())[:, 0]
+        name: there.residuals_k(one.x[None], one.entries)[:, 0]
         for name, one in fits.items()
     }
     everything = list(range(len(there.series)))

@@ -144,20 +144,6 @@ class _Search:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """All pairs (i, j), (k,) each: what both explain and how probable it is.
-
-    ``logs`` are log Bayes factors, minus infinity where physics forbids a
-    strength.
-    """
-
-    i: Indices
-    j: Indices
-    gains: Column
-    logs: Column
-
-
 def pair_evidence(
     project: Projector, linearised: Linearised, found: Sequence[Candidate]
 ) -> float:
@@ -167,7 +153,8 @@ def pair_evidence(
     """
     if len(linearised.signatures) < 2:
         return -np.inf
-    return mean_evidence(_pairs(project, linearised, found).logs)
+    *_, logs = _pairs(project, linearised, found)
+    return mean_evidence(logs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +191,12 @@ def normal_equations(
 
 def _pairs(
     project: Projector, linearised: Linearised, found: Sequence[Candidate]
-) -> _Pairs:
+) -> tuple[Indices, Indices, Column, Column]:
+    """Return all pairs (i, j): what both explain and how probable it is.
+
+    Places i and j, gains and log Bayes factors, (k,) each; the last are minus
+    infinity where physics forbids a strength.
+    """
     signatures = linearised.signatures
     equations = normal_equations(project, linearised, found)
     gram, score = equations.information, equations.score
@@ -221,7 +213,7 @@ def _pairs(
     gains = 0.5 * (a_i * score[i] + a_j * score[j])
     # what a strength that is well known costs
     logs = gains - 0.5 * np.log(determinant * FREE**4)
-    return _Pairs(i, j, gains, np.where(allowed, logs, -np.inf))
+    return i, j, gains, np.where(allowed, logs, -np.inf)
 
 
 def _best_pair(
@@ -231,16 +223,15 @@ def _best_pair(
     signatures = linearised.signatures
     if len(signatures) < 2:
         return (), 0.0, ()
-    pairs = _pairs(project, linearised, found)
-    i, j = pairs.i, pairs.j
+    i, j, gains, logs = _pairs(project, linearised, found)
     # two that stand in for the best one must explain more than it does
     best = [k for k, one in enumerate(signatures) if one.name == found[0].name]
     more = (
         np.isin(i, best)
         | np.isin(j, best)
-        | (pairs.gains >= (1.0 + NEXT_SHARE) * found[0].gain)
+        | (gains >= (1.0 + NEXT_SHARE) * found[0].gain)
     )
-    logs = np.where(more, pairs.logs, -np.inf)
+    logs = np.where(more, logs, -np.inf)
     top = int(np.argmax(logs))
     if not np.isfinite(logs[top]):
         return (), 0.0, ()

@@ -217,13 +217,7 @@ def _unnamed(
     if of_one < max(ways) - CLEARLY:
         reason = "no effect of the catalogue alone explains it"
         return nothing.answered("unknown", (), missing, reason)
-    members: list[str] = []
-    for one in found:
-        members.append(one.name)
-        if sum(nothing.odds[name] for name in members) >= SURE * (
-            1.0 - nothing.odds[""]
-        ):
-            break
+    members, _ = _likeliest(nothing, SURE * (1.0 - nothing.odds[""]))
     best = next(s for s in linearised.signatures if s.name == found[0].name)
     weighed = replace(
         nothing,
@@ -247,11 +241,9 @@ def _named(
     """Return what it is that is missing, the gate passed."""
     found, odds = nothing.candidates, nothing.odds
     best = found[0]
-    by_name = {one.name: one for one in linearised.signatures}
-    placebo = best_placebo(
-        layout, project, linearised.residual, by_name[best.name]
-    )
-    validated = cross_validated(layout, linearised, by_name[best.name])
+    own = next(s for s in linearised.signatures if s.name == best.name)
+    placebo = best_placebo(layout, project, linearised.residual, own)
+    validated = cross_validated(layout, linearised, own)
     several = JointEffects((best,), None, 1.0, (best.name,))
     if not alone:
         several = search_joint_effects(project, linearised, found)
@@ -307,6 +299,18 @@ def _named(
     return answer
 
 
+def _likeliest(naming: Naming, least: float) -> tuple[list[str], float]:
+    """Return as few candidates as are *least* probable, and how much."""
+    members: list[str] = []
+    total = 0.0
+    for one in naming.candidates:
+        members.append(one.name)
+        total += naming.odds[one.name]
+        if total >= least:
+            break
+    return members, total
+
+
 def _together(common: Naming, several: JointEffects) -> Naming:
     names = tuple(one.name for one in several.chosen)
     sure = tuple(name for name in names if name in several.sure)
@@ -332,13 +336,7 @@ def _single(
             else effect_class(best.name).signature
         )
         return common.answered("name", (best.name,), odds[best.name], reason)
-    members = [best.name]
-    total = odds[best.name]
-    for one in common.candidates[1:]:
-        if total >= SURE:
-            break
-        members.append(one.name)
-        total += odds[one.name]
+    members, total = _likeliest(common, SURE)
     by_name = {one.name: one for one in linearised.signatures}
     why = []
     for name in members[1:]:

@@ -12,7 +12,7 @@ missing does not count as noise, and what is noise need not be missing.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from math import hypot
 from typing import Final
 
@@ -179,21 +179,16 @@ def calibrated(
     best = _likelihood(parts) + _log_prior(picked)
     for _ in range(SWEEPS):
         before = best
-        for node in noise:
-            for which in range(2):
-                for factor in FACTORS:
-                    trial = list(picked[node])
-                    if trial[which] == factor:
-                        continue
-                    trial[which] = factor
-                    pair = (trial[0], trial[1])
-                    new = {**parts, node: parts_of(node, pair)}
-                    value = _likelihood(new) + _log_prior(
-                        {**picked, node: pair}
-                    )
-                    if value > best:
-                        best, parts = value, new
-                        picked = {**picked, node: pair}
+        for node, slow, factor in product(noise, (True, False), FACTORS):
+            was_slow, was_fast = picked[node]
+            pair = (factor, was_fast) if slow else (was_slow, factor)
+            if pair == picked[node]:
+                continue
+            new = {**parts, node: parts_of(node, pair)}
+            trial = {**picked, node: pair}
+            value = _likelihood(new) + _log_prior(trial)
+            if value > best:
+                best, parts, picked = value, new, trial
         if best == before:
             break
     return {

@@ -7,7 +7,6 @@ estimator's pass forms from the samples: so the samples are kept.
 from __future__ import annotations
 
 from array import array
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from bstm_daemon.analysis.statistics.series import Column
+    from bstm_daemon.analysis.statistics.series import Column, Mask
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.coupling import Outputs
@@ -102,28 +101,21 @@ def read_recording(
         UsageError: the heat mode is ``measured``.
     """
     parts = log_events(path, signal_map, overrides, progress)
-    return _formed(path.name, parts, config, present_roles(signal_map))
+    return recorded(path.name, parts, config, present_roles(signal_map))
 
 
 def recorded(
-    name: str, events: Events, config: Config, present: Mapping[int, int]
-) -> Recording:
-    """Return the recording of *events*.
-
-    Raises:
-        LogError: too short, or the clock jumps.
-        UsageError: the heat mode is ``measured``.
-    """
-    return _formed(name, _pieces(events), config, present)
-
-
-def _formed(
     name: str,
     parts: Iterable[Events],
     config: Config,
     present: Mapping[int, int],
 ) -> Recording:
-    """Return the recording of *parts*, of which few samples are kept."""
+    """Return the recording of *parts*, of which few samples are kept.
+
+    Raises:
+        LogError: too short, or the clock jumps.
+        UsageError: the heat mode is ``measured``.
+    """
     kept: list[Events] = []
 
     def passed() -> Iterator[Events]:
@@ -138,7 +130,6 @@ def _formed(
             np.concatenate([one.time_us for one in kept]),
             np.concatenate([one.role for one in kept]),
             np.concatenate([one.value for one in kept]),
-            Counter(),
         )
     )
     rows, _ = inputs_of(config, present, thin)
@@ -153,9 +144,7 @@ def thinned(events: Events) -> Events:
         own = np.flatnonzero(events.role == role)
         new = np.diff(slot[own], prepend=slot[own[0]] - 1) != 0
         keep[own[new]] = True
-    return Events(
-        events.time_us[keep], events.role[keep], events.value[keep], Counter()
-    )
+    return _some(events, keep)
 
 
 def inputs_of(
@@ -242,10 +231,11 @@ class _Coarse(Coupling):
 
 def _pieces(events: Events) -> Iterator[Events]:
     for first in range(0, len(events), PIECE):
-        part = slice(first, first + PIECE)
-        yield Events(
-            events.time_us[part],
-            events.role[part],
-            events.value[part],
-            Counter(),
-        )
+        yield _some(events, slice(first, first + PIECE))
+
+
+def _some(events: Events, which: slice | Mask) -> Events:
+    """Return the samples of *events* at *which*."""
+    return Events(
+        events.time_us[which], events.role[which], events.value[which]
+    )

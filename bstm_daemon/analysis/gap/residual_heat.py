@@ -27,7 +27,7 @@ from bstm_daemon.analysis.matching.march import (
     march,
     model_of,
 )
-from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
+from bstm_daemon.analysis.matching.phases import STANDING_MS, braking
 from bstm_daemon.analysis.statistics.series import Column, Indices, block_means
 from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import compiled_model
@@ -233,9 +233,7 @@ def _node_heat(
 
 def regimes(drive: Drive, corner: str) -> Column:
     """Return the index in :data:`REGIMES` of each window."""
-    braked = _means(
-        (drive.channel(corner, "brake_power_w") > BRAKING_W).astype(float)
-    )
+    braked = _means(braking(drive, corner).astype(float))
     moving = _means(
         (drive.channel(corner, "speed_ms") > STANDING_MS).astype(float)
     )
@@ -281,7 +279,12 @@ def locate(
         for one in residual_heat(config, recording.drive, corner, number)
     ]
     tables = (
-        (_temperature_bin, labels(TEMPERATURES_C, "degC")),
+        (
+            lambda h: np.digitize(
+                h.temperature_k - KELVIN_OFFSET, TEMPERATURES_C
+            ),
+            labels(TEMPERATURES_C, "degC"),
+        ),
         (
             lambda h: np.digitize(3.6 * h.speed_ms, SPEEDS_KMH),
             labels(SPEEDS_KMH, "km/h"),
@@ -295,11 +298,8 @@ def locate(
             ("first half", "second half"),
         ),
     )
-    return Located(_places(heats), *(_cells(heats, *one) for one in tables))
-
-
-def _temperature_bin(heat: NodeHeat) -> Indices:
-    return np.digitize(heat.temperature_k - KELVIN_OFFSET, TEMPERATURES_C)
+    cells, *others = [_cells(heats, *one) for one in tables]
+    return Located(_places(heats, cells), cells, *others)
 
 
 def labels(edges: Sequence[float], unit: str) -> tuple[str, ...]:
@@ -351,63 +351,37 @@ def _summed(
     return energy / corners, deviation**0.5 / corners
 
 
-def _places(heats: Sequence[NodeHeat]) -> tuple[Place, ...]:
-    """Return nodes and links by regime, the plainest first."""
-    nodes = list(dict.fromkeys(one.node for one in heats))
+def _places(
+    heats: Sequence[NodeHeat], cells: Sequence[Cell]
+) -> tuple[Place, ...]:
+    """Return nodes and links by regime, the plainest first.
+
+    Heat that is missing here and too much there must not cancel: of the
+    *cells* by temperature the plainest one counts.
+    """
     found: list[Place] = []
     for regime, name in enumerate(REGIMES):
-        plain = {}
-        for node in nodes:
-            own = [one for one in heats if one.node == node]
-            masks = [one.regime == regime for one in own]
-            if sum(int(mask.sum()) for mask in masks) < LEAST_WINDOWS:
-                continue
-            z, energy = _strength(own, masks)
-            if z >= SIGNIFICANT:
-                plain[node] = (z, energy)
+        plain: dict[str, Cell] = {}
+        for cell in cells:
+            if cell.regime == name and abs(cell.z) >= SIGNIFICANT:
+                there = plain.setdefault(cell.node, cell)
+                if abs(cell.z) > abs(there.z):
+                    plain[cell.node] = cell
         linked = set()
         for a, b in combinations(plain, 2):
             if _correlation(heats, a, b, regime) < OPPOSITE:
-                ratio = abs(plain[a][1]) / max(abs(plain[b][1]), 1e-9)
+                one, other = plain[a], plain[b]
+                ratio = abs(one.energy_j) / max(abs(other.energy_j), 1e-9)
                 if 1 / 3 < ratio < 3.0:
                     linked |= {a, b}
-                    found.append(
-                        Place(
-                            a,
-                            b,
-                            name,
-                            plain[a][1],
-                            min(plain[a][0], plain[b][0]),
-                        )
-                    )
+                    z = min(abs(one.z), abs(other.z))
+                    found.append(Place(a, b, name, one.energy_j, z))
         found += [
-            Place(node, "", name, energy, z)
-            for node, (z, energy) in plain.items()
+            Place(node, "", name, cell.energy_j, abs(cell.z))
+            for node, cell in plain.items()
             if node not in linked
         ]
     return tuple(sorted(found, key=lambda one: -one.z))
-
-
-def _strength(
-    heats: Sequence[NodeHeat], masks: Sequence[Column]
-) -> tuple[float, float]:
-    """Return standard deviations and energy of the largest sum of a sign.
-
-    Heat that is missing here and too much there must not cancel: the sum is
-    taken over temperature bins, in quadrature of their significance.
-    """
-    parts = []
-    for number in range(len(TEMPERATURES_C) + 1):
-        own = [
-            mask & (_temperature_bin(one) == number)
-            for one, mask in zip(heats, masks, strict=True)
-        ]
-        if sum(int(mask.sum()) for mask in own) >= LEAST_WINDOWS:
-            parts.append(_summed(heats, own))
-    if not parts:
-        return 0.0, 0.0
-    energy, sd = max(parts, key=lambda p: abs(p[0]) / max(p[1], 1e-9))
-    return abs(energy) / max(sd, 1e-9), energy
 
 
 def _correlation(
@@ -416,10 +390,8 @@ def _correlation(
     one, two = [], []
     for first in heats:
         for second in heats:
-            if (
-                (first.node, second.node) == (a, b)
-                and first.drive == second.drive
-                and first.corner == second.corner
+            if (first.node, second.node) == (a, b) and (
+                (first.drive, first.corner) == (second.drive, second.corner)
             ):
                 _, i, j = np.intersect1d(
                     first.time_s, second.time_s, return_indices=True

@@ -32,7 +32,7 @@ from bstm_daemon.analysis.matching.march import (
     march,
     model_of,
 )
-from bstm_daemon.analysis.matching.phases import BRAKING_W, STANDING_MS
+from bstm_daemon.analysis.matching.phases import STANDING_MS, braking
 from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
 from bstm_daemon.analysis.statistics.series import Column
@@ -379,9 +379,8 @@ def unnamed_heats(
     found = []
     for node in nodes:
         for regime in REGIMES:
-            apart = _apart(comparison, node, regime)
-            change = apart - base_k
-            if float(np.abs(change).max()) > 1e-3:
+            change = _apart(comparison, node, regime) - base_k
+            if float(np.abs(change).max()) > SILENT_K:
                 found.append(UnnamedHeat(node, regime, change))
     return tuple(found)
 
@@ -405,15 +404,15 @@ def _apart(comparison: Comparison, node: str, regime: str) -> Column:
 
 
 def _heat_w(drive: Drive, corner: str, series: Series, regime: str) -> Column:
-    power = drive.channel(corner, "brake_power_w")
-    braking = power > BRAKING_W
+    braked = braking(drive, corner)
     moving = drive.channel(corner, "speed_ms") > STANDING_MS
     if regime == "braking" and series.node == "disc":
-        return np.asarray(OF_BRAKING * power * braking)
+        power = drive.channel(corner, "brake_power_w")
+        return np.asarray(OF_BRAKING * power * braked)
     mask = {
-        "braking": braking,
-        "driving": moving & ~braking,
-        "parked": ~moving & ~braking,
+        "braking": braked,
+        "driving": moving & ~braked,
+        "parked": ~moving & ~braked,
     }[regime]
     rise = np.interp(drive.time_s, series.time_s, series.rise_k)
     typical = TYPICAL_W_K.get(series.node, OTHER_W_K)

@@ -44,7 +44,7 @@ from bstm_daemon.analysis.matching.tunables import (
 )
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
-from bstm_daemon.config.sections import Config, EffectConfig
+from bstm_daemon.config.sections import Config
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
@@ -90,10 +90,6 @@ class Gap:
     values: tuple[Change, ...] = ()
     entries: Entries = NO_ENTRIES
     matched: bool = False
-
-    def effects(self) -> list[EffectConfig]:
-        """Return the effects that can be adopted, with their provenance."""
-        return list(self.entries.effects)
 
     @property
     def adopted(self) -> tuple[str, ...]:
@@ -182,8 +178,10 @@ def _gap(
     )
     basis = directions(comparison)
     known, naming = search(comparison, simulated, basis)
-    plain = Gap(target.corners, names, points, located, naming, known.silent)
-    plain = replace(plain, matched=comparison.matched)
+    plain = Gap(
+        *(target.corners, names, points, located, naming, known.silent),
+        matched=comparison.matched,
+    )
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):
@@ -199,8 +197,13 @@ def _gap(
     if against is not None and naming.answer in {"name", "class"}:
         return replace(plain, naming=contradicted(naming, against))
     values, entries = written(comparison, extended, naming)
-    plain = replace(plain, fit=extended, values=tuple(values), entries=entries)
-    plain = replace(plain, shown=shown)
+    plain = replace(
+        plain,
+        fit=extended,
+        values=tuple(values),
+        entries=entries,
+        shown=shown,
+    )
     if until != "show":
         return plain
     before, after = located, _map(comparison, extended, held_out or recordings)
@@ -317,8 +320,8 @@ def _map(
     """Return the map of *recordings* with what was found."""
     target = comparison.target
     x = extended.written_x
-    after = comparison.config(x, extended.effects())
-    heat = any(heats(effect, target.config) for effect in extended.effects())
+    after = comparison.config(x, extended.entries)
+    heat = any(heats(effect, target.config) for effect in extended.entries)
     scale = float(np.exp(x[-1]))
     heated = []
     for one in recordings:

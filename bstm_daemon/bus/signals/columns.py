@@ -13,7 +13,7 @@ messages that the tables cannot hold.
 from array import array
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -48,7 +48,7 @@ class Events:
     time_us: npt.NDArray[np.int64]
     role: npt.NDArray[np.int32]
     value: npt.NDArray[np.float64]
-    counts: Counter[RejectReason]
+    counts: Counter[RejectReason] = field(default_factory=Counter)
 
     def __len__(self) -> int:
         """Return the number of samples."""

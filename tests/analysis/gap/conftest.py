@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.comparison import with_effects
-from bstm_daemon.analysis.gap.fitting import effect_entries
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.bus.signals.columns import Events
 
-from ...made_drives import driven  # noqa: TID252  (no package)
+from ...made_drives import driven, effect_entries  # noqa: TID252  (no package)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -48,8 +46,7 @@ def made(config: Config) -> Callable[..., Recording]:
             real, name, PROFILE, every=2, noise_k=noise_k, seed=seed
         )
         none = Events(
-            np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0),
-            Counter(),
+            np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0)
         )  # fmt: skip
         return Recording(drive, {}, none, drive.inputs)
 

@@ -196,7 +196,7 @@ def real(name: str, config: Config, seed: int) -> Recording:
         seed=seed,
     )
     samples = samples_of(simulated, present(), temperatures=True)
-    return recorded(name, samples, config, present())
+    return recorded(name, [samples], config, present())
 
 
 @pytest.mark.full  # six searches

@@ -18,7 +18,6 @@ from bstm_daemon.analysis.gap.changes import (
     trials,
 )
 from bstm_daemon.analysis.gap.comparison import with_effects
-from bstm_daemon.analysis.gap.fitting import effect_entries
 from bstm_daemon.analysis.gap.form import form_k, with_form
 from bstm_daemon.analysis.gap.signatures import (
     candidates,
@@ -41,6 +40,8 @@ from bstm_daemon.analysis.matching.tunables import (
 from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.report.gap import headline
+
+from ...made_drives import effect_entries  # noqa: TID252  (no package)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -220,7 +220,7 @@ def test_an_effect_that_is_not_listed_is_described_where_and_when_it_acts(
             seed=11 + seed,
         )
         samples = samples_of(simulated, present(), temperatures=True)
-        drives.append(recorded(name, samples, target.config, present()))
+        drives.append(recorded(name, [samples], target.config, present()))
 
     (found,) = find_gap(target.config, drives, until="name")
 

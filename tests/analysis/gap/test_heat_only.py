@@ -46,7 +46,7 @@ def driven(
     )
     return recorded(
         name,
-        samples_of(simulated, present),
+        [samples_of(simulated, present)],
         config,
         present,
     )
@@ -57,7 +57,7 @@ def test_nothing_is_named_where_nothing_is_missing() -> None:
     found = find_force_gap(car()[0], [driven("rich", {}, sensors="none")])
 
     assert found.naming.answer == "nothing"
-    assert found.effects() == []
+    assert not found.entries.effects
     assert found.pressed_j == pytest.approx(found.motion_j, rel=0.02)
     assert found.before_ms2 < 0.01
 
@@ -81,7 +81,7 @@ def test_friction_is_named_by_force_alone(name: str, strength: float) -> None:
     assert found.strengths[name] == pytest.approx(strength, rel=0.3)
     assert found.held_out
     assert found.after_ms2 < 0.6 * found.before_ms2
-    assert found.effects()[0].provenance["data"] == ["rich"]
+    assert found.entries.effects[0].provenance["data"] == ["rich"]
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_twins_of_the_motion_are_a_class() -> None:
     assert set(found.naming.names) <= {"mass_error", "powertrain_torque_error"}
     assert found.strengths["mass_error"] == pytest.approx(1.5, abs=0.3)
     # of a class each member has its own probability, and says what it may be
-    (entry,) = found.effects()
+    (entry,) = found.entries.effects
     own = found.naming.odds["mass_error"]
     assert entry.provenance["probability"] == pytest.approx(own, abs=1e-4)
     if found.naming.answer == "class":
@@ -137,7 +137,7 @@ def test_released_or_not_must_be_known() -> None:
     blind = {role: us for role, us in present.items() if role not in telling}
     recording = recorded(
         "assist",
-        samples_of(simulated, blind),
+        [samples_of(simulated, blind)],
         config,
         blind,
     )
@@ -155,7 +155,7 @@ def test_without_torque_there_is_no_force() -> None:
     blind = {role: us for role, us in present.items() if role != torque}
     heat = config.heat.model_copy(update={"assume_powertrain_torque_nm": None})
     config = config.model_copy(update={"heat": heat})
-    recording = recorded("x", samples_of(simulated, blind), config, blind)
+    recording = recorded("x", [samples_of(simulated, blind)], config, blind)
 
     with pytest.raises(LogError, match="torque"):
         find_force_gap(config, [recording])

@@ -10,7 +10,7 @@ import pytest
 
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.evidence import Candidate, probabilities, weigh
-from bstm_daemon.analysis.gap.fitting import effect_entries, fit
+from bstm_daemon.analysis.gap.fitting import fit
 from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
     EXTENDED,
@@ -28,6 +28,8 @@ from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.model.effects.catalogue import effect_class, effect_names
+
+from ...made_drives import effect_entries  # noqa: TID252  (no package)
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,7 +10,6 @@ import pytest
 
 from bstm_daemon.analysis.gap import recording as module
 from bstm_daemon.analysis.gap.comparison import heats, with_effects
-from bstm_daemon.analysis.gap.fitting import effect_entries
 from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
@@ -21,6 +20,8 @@ from bstm_daemon.files import shipped_file
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
+
+from ...made_drives import effect_entries  # noqa: TID252  (no package)
 
 if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
@@ -51,7 +52,7 @@ def short(config: Config) -> Recording:
         np.concatenate([values for _, _, values in parts])[order],
         Counter(),
     )
-    return recorded("short", events, config, present)
+    return recorded("short", [events], config, present)
 
 
 @pytest.mark.parametrize(
@@ -137,10 +138,10 @@ def test_pieces_of_a_log_are_one_recording(
     ).astype(np.int32)
     events = Events(time_us, roles, rng.random(4000), Counter())
     present = {int(role): 500_000 for role in np.unique(roles)}
-    whole = recorded("a", events, config, present)
+    whole = recorded("a", [events], config, present)
     monkeypatch.setattr(module, "PIECE", 333)
 
-    cut = recorded("a", events, config, present)
+    cut = recorded("a", module._pieces(events), config, present)
 
     assert np.array_equal(cut.thin.time_us, whole.thin.time_us)
     assert np.array_equal(cut.thin.value, whole.thin.value)
