@@ -89,17 +89,22 @@ def _longitudinal(channels: Checks) -> None:
     ):
         pair = unit_ratio("speed", 1.0 / fit.scale, _SPEED_UNIT)
     if fit is not None and pair is not None:
-        _blame_speeds(channels, pair, 1.0 / fit.scale)
-        naming = Naming((("unit", "the speeds are in the wrong unit"),))
+        # no accelerometer is wrong by a unit of speed
+        channels.fault(
+            "unit",
+            channels.speed_roles,
+            f"wrong unit: all speeds read {1.0 / fit.scale:.3g} times what "
+            f"the accelerometer says, which is {pair[0]} to {pair[1]}",
+        )
+        what = "the speeds are in the wrong unit"
+        naming = Naming((("unit", what),), fit=fit)
     else:
         write_faults(channels, LONGITUDINAL, naming, "dv/dt of the speed")
-        if naming.agrees is False:
-            channels.dead.add(LONGITUDINAL)
     channels.compare(
         "accelerometer against dv/dt",
         ("dv/dt", LONGITUDINAL),
         (rate, accel_measured),
-        (naming.verdict, naming.agrees, fit),
+        naming.named,
         "m/s2",
     )
     if naming.agrees is None:
@@ -115,18 +120,6 @@ def _only(naming: Naming) -> tuple[str, int]:
     """Return the first fault and how many there are, a lag left out."""
     faults = [fault for fault, _ in naming.faults if fault != "lag"]
     return (faults[0] if faults else ""), len(faults)
-
-
-def _blame_speeds(
-    channels: Checks, pair: tuple[str, str], ratio: float
-) -> None:
-    """Name all speeds: no accelerometer is wrong by a unit of speed."""
-    channels.fault(
-        "unit",
-        channels.speed_roles,
-        f"wrong unit: all speeds read {ratio:.3g} times what the "
-        f"accelerometer says, which is {pair[0]} to {pair[1]}",
-    )
 
 
 def _drift(channels: Checks, *, agrees: bool | None) -> None:
@@ -196,6 +189,6 @@ def _lateral(channels: Checks) -> None:
         "lateral accelerometer against v x yaw rate",
         ("v x yaw rate", role),
         (centripetal, channels.value(role)),
-        (naming.verdict, naming.agrees, fit),
+        naming.named,
         "m/s2",
     )

@@ -1,6 +1,7 @@
 """Checks of pressures by each other, the car's motion, switch and torque."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -36,13 +37,7 @@ def compare_pressures(channels: Checks, motion_says: dict[str, bool]) -> None:
         if roles:
             channels.skip(f"{roles[0]}: the only pressure, see deceleration")
         return
-    names: dict[tuple[str, str], tuple[Naming, Fit | None]] = {}
-
-    def naming(one: str, other: str) -> Naming:
-        if (one, other) not in names:
-            names[one, other] = _name(channels, one, other)
-        return names[one, other][0]
-
+    naming = cache(lambda one, other: _naming(channels, one, other))
     groups = components(roles, lambda a, b: naming(a, b).agrees)
     for other in roles[1:]:
         found = naming(roles[0], other)
@@ -50,7 +45,7 @@ def compare_pressures(channels: Checks, motion_says: dict[str, bool]) -> None:
             f"{other} against {roles[0]}",
             (roles[0], other),
             (channels.value(roles[0]), channels.value(other)),
-            (found.verdict, found.agrees, names[roles[0], other][1]),
+            found.named,
             "bar",
         )
         if found.agrees is None:
@@ -76,7 +71,6 @@ def _attribute(
             believed = _believed(first, group, motion_says)
             if believed is first:
                 write_faults(channels, role, judged[0], first[0])
-                channels.dead.add(role)
             elif believed is group:
                 for other in first:
                     turned = naming(role, other)
@@ -92,14 +86,14 @@ def _attribute(
                 )
     for role in first:
         late = [
-            (fault, text)
+            text
             for other in first
             if other != role
             for fault, text in naming(other, role).faults
             if fault == "lag" and text.endswith("late")
         ]
         if late:
-            channels.fault("lag", role, f"{late[0][1]}", wrong=False)
+            channels.fault("lag", role, late[0], wrong=False)
 
 
 def _believed(
@@ -114,9 +108,8 @@ def _believed(
     return None
 
 
-def _name(
-    channels: Channels, one: str, other: str
-) -> tuple[Naming, Fit | None]:
+def _naming(channels: Channels, one: str, other: str) -> Naming:
+    """Judge the pressure *other* against *one*."""
     x, y = channels.value(one), channels.value(other)
     fit = fit_channels(x, y, limits.PRESSURE_FLOOR_PA)
     both = np.isfinite(x) & np.isfinite(y)
@@ -129,7 +122,7 @@ def _name(
         limits.REAR_PRESSURE_SCALE if rear else limits.PRESSURE_SCALE,
         limits.PRESSURE_OFFSET_PA,
     )
-    return name_faults(channels, other, fit, tolerance, why), fit
+    return name_faults(channels, other, fit, tolerance, why)
 
 
 def released_reading(

@@ -15,11 +15,12 @@ from bstm_daemon.analysis.quality.recording import Recording, Series
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.config.sections import Config
 from bstm_daemon.roles import LONGITUDINAL, ROLE_INDEX
-from bstm_daemon.units import UNITS
+from bstm_daemon.units import UNITS, Unit
 
 HALF: Final = round(WINDOW_S / GRID_S / 2)
 """Grid points on each side of a difference quotient."""
 
+_NO_SAMPLES: Final = Series(np.empty(0), np.empty(0))
 _BREAK_S: Final = 60.0
 _MARGIN: Final = round((LONGEST_LAG_S + WINDOW_S) / GRID_S)
 
@@ -112,16 +113,10 @@ def median_of(columns: Mapping[str, Column]) -> Column:
 
 def shifted(value: Column, steps: int) -> Column:
     """Return *value* later by *steps* grid points, NaN where it ends."""
-    moved: Column = np.full(len(value), np.nan)
-    if abs(steps) >= len(value):
-        return moved
+    gap = np.full(min(abs(steps), len(value)), np.nan)
     if steps > 0:
-        moved[steps:] = value[:-steps]
-    elif steps < 0:
-        moved[:steps] = value[-steps:]
-    else:
-        moved[:] = value
-    return moved
+        return np.concatenate((gap, value[: len(value) - len(gap)]))
+    return np.concatenate((value[len(gap) :], gap))
 
 
 class Channels:
@@ -154,12 +149,9 @@ class Channels:
     def raw(self, role: str) -> Column:
         """Return *role* on the grid, as it came."""
         if role not in self._grid:
-            series = self.series.get(role)
-            self._grid[role] = (
-                np.full(len(self.time_s), np.nan)
-                if series is None
-                else at_times(series, self.time_s, self.timeout_s(role))
-            )
+            series = self.series.get(role, _NO_SAMPLES)
+            timeout_s = self.timeout_s(role)
+            self._grid[role] = at_times(series, self.time_s, timeout_s)
         return self._grid[role]
 
     def value(self, role: str) -> Column:
@@ -195,10 +187,13 @@ class Channels:
     def unit(self, role: str) -> tuple[str, float]:
         """Return the configured unit of *role* and its factor to SI."""
         name = self.config.signals[role].unit
-        factor = UNITS[name].factor
-        if UNITS[name].quantity == "angular_speed" and "wheel" in role:
-            factor *= self.config.vehicle.wheel_radius_m
-        return name, factor
+        return name, self._factor(role, UNITS[name])
+
+    def _factor(self, role: str, unit: Unit) -> float:
+        """Return the factor of *unit* to SI, to m/s for a wheel that turns."""
+        if unit.quantity == "angular_speed" and "wheel" in role:
+            return unit.factor * self.config.vehicle.wheel_radius_m
+        return unit.factor
 
     def unit_for_scale(
         self, role: str, scale: float, tolerance: float
@@ -209,22 +204,14 @@ class Channels:
         """
         configured, factor = self.unit(role)
         quantity = UNITS[configured].quantity
-        best = None
-        for name, unit in UNITS.items():
-            if unit.quantity != quantity or name == configured:
-                continue
-            radius = (
-                self.config.vehicle.wheel_radius_m
-                if quantity == "angular_speed" and "wheel" in role
-                else 1.0
-            )
-            ratio = abs(scale) * unit.factor * radius / factor
-            miss = abs(float(np.log(ratio)))
-            if miss <= np.log1p(tolerance) and (
-                best is None or miss < best[0]
-            ):
-                best = (miss, name)
-        return None if best is None else best[1]
+        ratios = {
+            name: abs(scale) * self._factor(role, unit) / factor
+            for name, unit in UNITS.items()
+            if unit.quantity == quantity and name != configured
+        }
+        misses = [(abs(np.log(ratio)), name) for name, ratio in ratios.items()]
+        miss, nearest = min(misses, default=(np.inf, None))
+        return nearest if miss <= np.log1p(tolerance) else None
 
 
 def unit_ratio(

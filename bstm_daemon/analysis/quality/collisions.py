@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from bstm_daemon.analysis.quality.finding import Checks
+from bstm_daemon.analysis.quality.finding import Checks, Fault
 from bstm_daemon.analysis.quality.recording import Recording
 from bstm_daemon.bus.opening import id_text, open_log, resolve_interfaces
 from bstm_daemon.bus.output.e2e import profile2_crc
@@ -67,33 +67,19 @@ def note_collisions(channels: Checks, own_frames: Mapping[int, int]) -> None:
     frames = _taken(channels.recording, config)
     if not frames:
         return
-    own = {
-        can_id: count
-        for can_id, count in frames.items()
-        if own_frames.get(can_id) == count
-    }
-    foreign = {
-        can_id: count for can_id, count in frames.items() if can_id not in own
-    }
+    own = {key: n for key, n in frames.items() if own_frames.get(key) == n}
+    foreign = {key: frames[key] for key in frames if key not in own}
     bus = config.bus[config.publishing_bus].name
     block = f"[publish] id_base = 0x{config.publish.id_base:X}"
-    if foreign:
-        channels.fault(
-            "id-collision",
-            (),
-            f"the log holds {_listed(foreign)} on {bus}, which {block} "
-            "would send: choose another id_base",
-            wrong=False,
-        )
-    if own:
-        channels.fault(
-            "own-frames",
-            (),
-            f"the log holds {_listed(own)} on {bus}, of the block of "
-            f"{block}: these are frames of this daemon, their protection "
-            "is ours",
-            wrong=False,
-        )
+    words: dict[Fault, str] = {
+        "id-collision": f"which {block} would send: choose another id_base",
+        "own-frames": f"of the block of {block}: these are frames of this "
+        "daemon, their protection is ours",
+    }
+    for (fault, what), held in zip(words.items(), (foreign, own), strict=True):
+        if held:
+            text = f"the log holds {_listed(held)} on {bus}, {what}"
+            channels.fault(fault, (), text, wrong=False)
 
 
 def _taken(recording: Recording, config: Config) -> dict[int, int]:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from bstm_daemon.analysis.quality import limits
-from bstm_daemon.analysis.quality.channels import HALF, shifted
+from bstm_daemon.analysis.quality.channels import difference_quotient, shifted
 from bstm_daemon.analysis.statistics.series import Column, Mask
 
 _OUTLIER: Final = 5.0
@@ -137,12 +137,12 @@ def find_lag(reference: Column, channel: Column) -> float | None:
     The peak of the cross-correlation of the changes over 0.5 s, to a part of
     a grid step by a parabola through it and its neighbours.
     """
-    x, y = _busiest(_changes(reference), _changes(channel))
+    x_rate, y_rate = map(difference_quotient, (reference, channel))
+    x, y = _busiest(limits.WINDOW_S * x_rate, limits.WINDOW_S * y_rate)
     reach = round(limits.LONGEST_LAG_S / limits.GRID_S)
-    found = {
-        k: _lagged_correlation(x, y, k)
-        for k in range(-reach, reach + 1, _COARSE)
-    }
+    found: dict[int, float] = {}
+    for k in range(-reach, reach + 1, _COARSE):
+        found[k] = _lagged_correlation(x, y, k)
     best = max(found, key=lambda k: abs(found[k]))
     for k in range(best - _COARSE, best + _COARSE + 1):
         if abs(k) <= reach and k not in found:
@@ -164,13 +164,6 @@ def spread(value: Column) -> float:
         return 0.0
     low, high = np.percentile(known, (5, 95))
     return float(high - low)
-
-
-def _changes(value: Column) -> Column:
-    change = np.full(len(value), np.nan)
-    if len(value) > 2 * HALF:
-        change[HALF:-HALF] = value[2 * HALF :] - value[: -2 * HALF]
-    return change
 
 
 def _busiest(x: Column, y: Column) -> tuple[Column, Column]:

@@ -26,29 +26,24 @@ def find_frozen_speeds(channels: Checks) -> None:
     """Name speeds that are dead or hold a value, and leave them out."""
     roles = channels.alive(SPEEDS)
     for role in _without_standing_axle(channels, roles):
-        _name_runs(channels, role, _SpeedContradiction(channels, role))
+        _name_runs(channels, role, _speed_contradiction(channels, role))
 
 
-def find_frozen(
-    channels: Checks, roles: tuple[str, ...], reference: Column
-) -> None:
-    """Name *roles* that hold a value while *reference* (n,) moves.
+def find_frozen(channels: Checks, role: str, reference: Column) -> None:
+    """Name *role* if it is there and still while *reference* (n,) moves.
 
-    *reference* is in the channels' own unit.
+    *reference* is in the channel's own unit.
     """
-    for role in channels.alive(roles):
-        least = (
-            limits.PRESSURE_SPAN_PA
-            if "pressure" in role
-            else limits.FROZEN_ACCELERATION_MS2
-        )
+    least = limits.FROZEN_ACCELERATION_MS2
+    if role in PRESSURES:
+        least = limits.PRESSURE_SPAN_PA
 
-        def moved(run: Run, least: float = least) -> str:
-            inside = _inside(channels, run, reference)
-            if len(inside) and np.ptp(inside) >= least:
-                return "while its reference moves"
-            return ""
+    def moved(run: Run) -> str:
+        inside = _inside(channels, run, reference)
+        still = not len(inside) or np.ptp(inside) < least
+        return "" if still else "while its reference moves"
 
+    if channels.alive([role]):
         _name_runs(channels, role, moved)
 
 
@@ -107,52 +102,36 @@ def feels_nothing(rate_ms2: Column, accel_ms2: Column) -> bool:
     return response < limits.STAND_RESPONSE
 
 
-class _SpeedContradiction:
-    """Evidence from the other speeds that a constant one is frozen."""
+def _speed_contradiction(
+    channels: Channels, role: str
+) -> Callable[[Run], str]:
+    """Return the evidence from the other speeds that *role* is frozen."""
+    others = [r for r in SPEEDS if r in channels.series and r != role]
+    living = {r: channels.raw(r) for r in channels.alive(others)}
+    around = median_of(living) if living else np.empty(0)
+    axle = next((a for a in _AXLES.values() if role in a), ())
+    axle_still = bool(axle) and all(
+        r in channels.series and np.ptp(channels.series[r].value) == 0.0
+        for r in axle
+    )
+    values = channels.series[role].value
+    fine = len(np.unique(values)) >= limits.FROZEN_STEPS
 
-    def __init__(self, channels: Channels, role: str) -> None:
-        self._channels = channels
-        others = [r for r in SPEEDS if r in channels.series and r != role]
-        living = [r for r in others if r not in channels.dead]
-        self._around = (
-            median_of({r: channels.raw(r) for r in living}) if living else None
-        )
-        axle = next((a for a in _AXLES.values() if role in a), ())
-        self._independent = [r for r in others if r not in axle]
-        partner = [r for r in axle if r != role]
-        self._axle_still = bool(axle) and all(
-            r in channels.series and np.ptp(channels.series[r].value) == 0.0
-            for r in (role, *partner)
-        )
-        values = channels.series[role].value
-        self._fine = len(np.unique(values)) >= limits.FROZEN_STEPS
-
-    def __call__(self, run: Run) -> str:
-        """Return the contradiction of *run*, or nothing."""
-        if self._around is not None:
-            inside = _inside(self._channels, run, self._around)
-            if len(inside) and np.ptp(inside) >= limits.FROZEN_SPEED_MS:
-                words = "while the other speeds move"
-                if self._axle_still:
-                    words += " (or the car is on a stand)"
-                return words
-        if not self._fine or run.value == 0.0:
+    def contradiction(run: Run) -> str:
+        inside = _inside(channels, run, around) if living else around
+        if len(inside) and np.ptp(inside) >= limits.FROZEN_SPEED_MS:
+            words = "while the other speeds move"
+            return words + " (or the car is on a stand)" * axle_still
+        if not fine or run.value == 0.0:
             return ""
-        seen = [
-            inside
-            for role in self._independent
-            for inside in (self._inside(run, role),)
-            if len(inside)
-        ]
-        if seen and all(
-            np.abs(inside - run.value).min() >= limits.FROZEN_SPEED_MS
-            for inside in seen
-        ):
+        independent = [r for r in others if r not in axle]
+        seen = [_inside(channels, run, channels.raw(r)) for r in independent]
+        away = [np.abs(s - run.value).min() for s in seen if len(s)]
+        if away and min(away) >= limits.FROZEN_SPEED_MS:
             return "to the last digit, and no other speed bears it out"
         return ""
 
-    def _inside(self, run: Run, role: str) -> Column:
-        return _inside(self._channels, run, self._channels.raw(role))
+    return contradiction
 
 
 def _inside(channels: Channels, run: Run, value: Column) -> Column:

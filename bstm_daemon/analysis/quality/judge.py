@@ -209,14 +209,14 @@ def _compare(channels: Checks) -> None:
     compare_speeds(channels)
     note_unjudged(channels)
     if not channels.on_stand:
-        find_frozen(channels, (LONGITUDINAL,), channels.speed_rate())
+        find_frozen(channels, LONGITUDINAL, channels.speed_rate())
     compare_accelerations(channels)
     compare_sides(channels)
     compare_axles(channels)
     for role in channels.alive(PRESSURES):
         others = [o for o in channels.alive(PRESSURES) if o != role]
         if others:
-            find_frozen(channels, (role,), channels.value(others[0]))
+            find_frozen(channels, role, channels.value(others[0]))
     braking.check_resting(channels)
     says = braking.compare_braking(channels)
     braking.compare_pressures(channels, says)
@@ -240,12 +240,13 @@ def _roles(channels: Checks, signal_map: SignalMap) -> tuple[RoleQuality, ...]:
     found = []
     for role, signal in config.signals.items():
         number = ROLE_INDEX[role]
-        timeout_s = signal_map.timeouts_us[number] * 1e-6
+        timeout_s = channels.timeout_s(role)
         source = signal.column or (
             f"{signal.message}.{signal.signal or signal.expression}"
         )
-        series = recording.series.get(role)
-        if series is not None:
+        statistics, why = None, ""
+        if role in recording.series:
+            series = recording.series[role]
             statistics = channel_statistics(
                 series, recording.duration_s, timeout_s, pauses
             )
@@ -259,16 +260,13 @@ def _roles(channels: Checks, signal_map: SignalMap) -> tuple[RoleQuality, ...]:
                     f"{statistics.longest_gap_s:.1f} s",
                     wrong=statistics.missing_share > MISSING_FAILS,
                 )
-            found.append(
-                RoleQuality(role, source, signal.unit, timeout_s, statistics)
-            )
-            continue
-        why = "no row with a value"
-        if number in keys:
-            why = _why_missing(*keys[number], recording, signal_map)
-        channels.fault("missing", role, why, wrong=False)
+        else:
+            why = "no row with a value"
+            if number in keys:
+                why = _why_missing(*keys[number], recording, signal_map)
+            channels.fault("missing", role, why, wrong=False)
         found.append(
-            RoleQuality(role, source, signal.unit, timeout_s, None, why)
+            RoleQuality(role, source, signal.unit, timeout_s, statistics, why)
         )
     return tuple(found)
 

@@ -7,7 +7,7 @@ from itertools import combinations
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.channels import Channels, unit_ratio
 from bstm_daemon.analysis.quality.comparison import Fit
-from bstm_daemon.analysis.quality.finding import Checks, Fault
+from bstm_daemon.analysis.quality.finding import Checks, Fault, Named
 from bstm_daemon.units import UNITS
 
 
@@ -27,6 +27,7 @@ class Naming:
 
     faults: tuple[tuple[Fault, str], ...] = ()
     why_not_judged: str = ""
+    fit: Fit | None = None
 
     @property
     def agrees(self) -> bool | None:
@@ -41,6 +42,11 @@ class Naming:
         if self.why_not_judged:
             return f"not judged: {self.why_not_judged}"
         return "; ".join(text for _, text in self.faults) or "agrees"
+
+    @property
+    def named(self) -> Named:
+        """What :meth:`Checks.compare` keeps of it."""
+        return self.verdict, self.agrees, self.fit
 
 
 def name_faults(
@@ -58,10 +64,10 @@ def name_faults(
     once.
     """
     if why_not or fit is None or fit.seconds < limits.ENOUGH_S:
-        return Naming(why_not_judged=why_not or "too little in common")
+        return Naming((), why_not or "too little in common", fit)
     if abs(fit.correlation) < limits.UNRELATED:
         text = f"does not follow (r = {fit.correlation:.2f})"
-        return Naming((("unrelated", text),))
+        return Naming((("unrelated", text),), fit=fit)
     found: list[tuple[Fault, str]] = []
     if fit.scale < 0.0:
         found.append(("sign", "wrong sign"))
@@ -74,7 +80,7 @@ def name_faults(
     if lag_s is not None and abs(lag_s) > tolerance.lag_s:
         late = "late" if lag_s > 0.0 else "early"
         found.append(("lag", f"{abs(lag_s):.2f} s {late}"))
-    return Naming(tuple(found))
+    return Naming(tuple(found), fit=fit)
 
 
 def _scale(
@@ -82,29 +88,28 @@ def _scale(
 ) -> tuple[Fault, str]:
     unit = channels.unit_for_scale(role, fit.scale, tolerance.unit)
     configured, _ = channels.unit(role)
+    text = f"reads {abs(fit.scale):.3g} times as much"
     if unit is not None:
-        text = (
-            f"wrong unit: reads {abs(fit.scale):.3g} times as much, "
-            f"configured as {configured}, the values are {unit}"
-        )
-        return "unit", text
+        text += f", configured as {configured}, the values are {unit}"
+        return "unit", f"wrong unit: {text}"
     pair = unit_ratio(UNITS[configured].quantity, fit.scale, tolerance.unit)
     if pair is not None:
-        return "unit", (
-            f"wrong unit: reads {abs(fit.scale):.3g} times as much, which is "
-            f"{pair[0]} to {pair[1]}: converted twice, or by the wrong one"
-        )
-    return "scale", f"wrong scale: reads {abs(fit.scale):.3g} times as much"
+        text += f", which is {pair[0]} to {pair[1]}"
+        text += ": converted twice, or by the wrong one"
+        return "unit", f"wrong unit: {text}"
+    return "scale", f"wrong scale: {text}"
 
 
 def write_faults(
     channels: Checks, role: str, naming: Naming, against: str
 ) -> None:
-    """Write each fault of *naming* as one of *role*."""
+    """Write each fault of *naming* as one of *role*; leave a wrong one out."""
     for fault, text in naming.faults:
         channels.fault(
             fault, role, f"{text}, against {against}", wrong=fault != "lag"
         )
+    if naming.agrees is False:
+        channels.dead.add(role)
 
 
 def components(

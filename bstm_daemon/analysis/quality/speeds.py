@@ -1,5 +1,7 @@
 """Wheel speeds, vehicle speed and speeds over ground compared."""
 
+from collections.abc import Callable
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -7,7 +9,7 @@ import numpy as np
 from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.accelerations import fit_acceleration
 from bstm_daemon.analysis.quality.channels import Channels
-from bstm_daemon.analysis.quality.comparison import Fit, fit_channels, spread
+from bstm_daemon.analysis.quality.comparison import fit_channels, spread
 from bstm_daemon.analysis.quality.finding import Checks
 from bstm_daemon.analysis.quality.naming import (
     Naming,
@@ -26,6 +28,8 @@ _PAIRS: Final = (
     ("wheel_speed_fl", "wheel_speed_rl"),
     ("wheel_speed_fr", "wheel_speed_rr"),
 )
+_Pairs = Callable[[str, str], Naming]
+"""The verdict on a speed, the second one, against another one."""
 
 
 def compare_speeds(channels: Checks) -> None:
@@ -33,12 +37,10 @@ def compare_speeds(channels: Checks) -> None:
     roles = channels.alive(SPEEDS)
     if not roles:
         return
-    table = _Table(channels)
-    groups = components(
-        roles, lambda one, other: table.naming(one, other).agrees
-    )
-    trusted = _trusted(channels, table, groups)
-    _write_comparisons(channels, table, roles)
+    pairs = cache(lambda x, y: _naming(channels, channels.value(x), y))
+    groups = components(roles, lambda one, other: pairs(one, other).agrees)
+    trusted = _trusted(channels, pairs, groups)
+    _write_comparisons(channels, pairs, roles)
     if trusted is None:
         listed = " against ".join(", ".join(group) for group in groups)
         channels.fault(
@@ -52,12 +54,11 @@ def compare_speeds(channels: Checks) -> None:
     channels.set_speed(trusted)
     for role in roles:
         if role in trusted:
-            _late_only(channels, table, role, trusted)
+            _late_only(channels, pairs, role, trusted)
             continue
-        naming = table.against(role, channels.speed)
+        naming = _naming(channels, channels.speed, role)
         if naming.agrees is False:
             write_faults(channels, role, naming, _named(trusted))
-            channels.dead.add(role)
 
 
 def family(role: str) -> str:
@@ -69,52 +70,22 @@ def _named(roles: tuple[str, ...]) -> str:
     return roles[0] if len(roles) == 1 else f"{len(roles)} other speeds"
 
 
-class _Table:
-    """Fits and verdicts of pairs, made once."""
-
-    def __init__(self, channels: Channels) -> None:
-        self._channels = channels
-        self._fits: dict[tuple[str, str], Fit | None] = {}
-
-    def fit(self, reference: str, channel: str) -> Fit | None:
-        key = (reference, channel)
-        if key not in self._fits:
-            self._fits[key] = fit_channels(
-                self._channels.value(reference),
-                self._channels.value(channel),
-                limits.SPEED_FLOOR_MS,
-            )
-        return self._fits[key]
-
-    def naming(self, reference: str, channel: str) -> Naming:
-        x = self._channels.value(reference)
-        return self._name(x, channel, self.fit(reference, channel))
-
-    def against(self, channel: str, speed: Column) -> Naming:
-        fit = fit_channels(
-            speed, self._channels.value(channel), limits.SPEED_FLOOR_MS
-        )
-        return self._name(speed, channel, fit)
-
-    def _name(self, x: Column, channel: str, fit: Fit | None) -> Naming:
-        y = self._channels.value(channel)
-        both = np.isfinite(x) & np.isfinite(y)
-        span = max(spread(x[both]), spread(y[both]))
-        why = ""
-        if span < limits.SPEED_SPAN_MS:
-            why = f"the speed varies by {span:.1f} m/s only"
-        lag_s = GROUND_LAG_S.get(channel, limits.LAG_S)
-        return name_faults(
-            self._channels,
-            channel,
-            fit,
-            Tolerance(limits.SPEED_SCALE, limits.SPEED_OFFSET_MS, lag_s),
-            why,
-        )
+def _naming(channels: Channels, speed: Column, role: str) -> Naming:
+    """Judge *role* against *speed*, (n,)."""
+    value = channels.value(role)
+    both = np.isfinite(speed) & np.isfinite(value)
+    span = max(spread(speed[both]), spread(value[both]))
+    why = ""
+    if span < limits.SPEED_SPAN_MS:
+        why = f"the speed varies by {span:.1f} m/s only"
+    fit = fit_channels(speed, value, limits.SPEED_FLOOR_MS)
+    lag_s = GROUND_LAG_S.get(role, limits.LAG_S)
+    tolerance = Tolerance(limits.SPEED_SCALE, limits.SPEED_OFFSET_MS, lag_s)
+    return name_faults(channels, role, fit, tolerance, why)
 
 
 def _trusted(
-    channels: Channels, table: _Table, groups: list[tuple[str, ...]]
+    channels: Channels, pairs: _Pairs, groups: list[tuple[str, ...]]
 ) -> tuple[str, ...] | None:
     """Return the group to trust, None if undecided.
 
@@ -127,7 +98,7 @@ def _trusted(
         group
         for group in groups
         if any(
-            table.naming(one, other).agrees is not None
+            pairs(one, other).agrees is not None
             for one in group
             for other in set().union(*groups) - set(group)
         )
@@ -161,14 +132,14 @@ def _accelerometer_follows(channels: Channels, group: tuple[str, ...]) -> bool:
 
 
 def _late_only(
-    channels: Checks, table: _Table, role: str, trusted: tuple[str, ...]
+    channels: Checks, pairs: _Pairs, role: str, trusted: tuple[str, ...]
 ) -> None:
     """Name *role* late where it is against most of the others."""
     others = [other for other in trusted if other != role]
     late = [
         text
         for other in others
-        for fault, text in table.naming(other, role).faults
+        for fault, text in pairs(other, role).faults
         if fault == "lag"
     ]
     # of two, the one behind is called late
@@ -181,27 +152,22 @@ def _late_only(
 
 
 def _write_comparisons(
-    channels: Checks, table: _Table, roles: list[str]
+    channels: Checks, pairs: _Pairs, roles: list[str]
 ) -> None:
-    pairs = [
-        ("vehicle_speed", wheel)
-        for wheel in WHEELS
-        if "vehicle_speed" in roles
-    ]
-    pairs += _PAIRS
     first = "vehicle_speed" if "vehicle_speed" in roles else roles[0]
-    pairs += [(first, ground) for ground in GROUND_LAG_S]
-    for one, other in pairs:
-        if one not in roles or other not in roles or one == other:
-            continue
-        naming = table.naming(one, other)
-        channels.compare(
-            f"{other} against {one}",
-            (one, other),
-            (channels.value(one), channels.value(other)),
-            (naming.verdict, naming.agrees, table.fit(one, other)),
-            "km/h",
-        )
+    for one, other in (
+        *(("vehicle_speed", wheel) for wheel in WHEELS),
+        *_PAIRS,
+        *((first, ground) for ground in GROUND_LAG_S),
+    ):
+        if one in roles and other in roles and one != other:
+            channels.compare(
+                f"{other} against {one}",
+                (one, other),
+                (channels.value(one), channels.value(other)),
+                pairs(one, other).named,
+                "km/h",
+            )
 
 
 def note_unjudged(channels: Checks) -> None:

@@ -9,7 +9,7 @@ from bstm_daemon.analysis.quality import limits
 from bstm_daemon.analysis.quality.braking import feed_forward_n
 from bstm_daemon.analysis.quality.channels import Channels
 from bstm_daemon.analysis.quality.comparison import Fit, fit_channels
-from bstm_daemon.analysis.quality.finding import Checks, Comparison, Fault
+from bstm_daemon.analysis.quality.finding import Checks, Fault
 from bstm_daemon.analysis.quality.recording import constant_runs
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.roles import PRESSURES
@@ -70,9 +70,7 @@ def _miswired(channels: Checks, role: str) -> bool:
         "cools with the pedal"
     )
     channels.rule_out("mis-wired", role, verdict)
-    channels.comparisons.append(
-        _comparison(channels, other, role, verdict, agrees=False, fit=fit)
-    )
+    _compare(channels, other, role, (verdict, False, fit))
     return True
 
 
@@ -119,13 +117,10 @@ def _rate(channels: Checks, role: str, limit_k_s: float) -> None:
     value = channels.value(role)
     rate = np.abs(value[_RATE_STEPS:] - value[:-_RATE_STEPS])
     known = rate[np.isfinite(rate)]
-    if len(known) and np.quantile(known, _PEAKS) > limit_k_s:
-        channels.rule_out(
-            "implausible",
-            role,
-            f"implausible: changes by {np.quantile(known, _PEAKS):.0f} K in "
-            f"a second, possible are {limit_k_s:.0f}",
-        )
+    peak = np.quantile(known, _PEAKS) if len(known) else 0.0
+    if peak > limit_k_s:
+        text = f"implausible: changes by {peak:.0f} K in a second, possible"
+        channels.rule_out("implausible", role, f"{text} are {limit_k_s:.0f}")
 
 
 def _start(channels: Checks, role: str, ambient: tuple[float, str]) -> None:
@@ -164,17 +159,11 @@ def _work(channels: Checks, role: str) -> None:
         here = (channels.time_s > run.start_s) & (channels.time_s < run.end_s)
         if work[here].sum() < limits.DISC_WORK_MS2S:
             continue
-        value_c = run.value - KELVIN_OFFSET
-        whole = len(np.unique(series.value)) == 1
-        text = (
-            f"reads {value_c:.1f} degC throughout"
-            if whole
-            else (
-                f"at {value_c:.1f} degC from {run.start_s:.1f} to "
-                f"{run.end_s:.1f} s"
-            )
-        )
-        fault: Fault = "dead" if whole else "frozen"
+        value = f"{run.value - KELVIN_OFFSET:.1f} degC"
+        fault: Fault = "frozen"
+        text = f"at {value} from {run.start_s:.1f} to {run.end_s:.1f} s"
+        if len(np.unique(series.value)) == 1:
+            fault, text = "dead", f"reads {value} throughout"
         text = f"{fault}: {text}, while the brakes work"
         channels.rule_out(fault, role, text)
 
@@ -188,44 +177,31 @@ def _left_right(channels: Checks, roles: list[str]) -> None:
         fit = fit_channels(
             channels.value(left), channels.value(right), 20.0, lagged=False
         )
-        if fit is None:
-            continue
-        channels.comparisons.append(
-            _comparison(
-                channels,
-                left,
-                right,
+        if fit is not None:
+            verdict = (
                 f"left and right, r = {fit.correlation:.3f} (no verdict: "
-                "brakes may differ)",
-                agrees=None,
-                fit=fit,
+                "brakes may differ)"
             )
-        )
+            _compare(channels, left, right, (verdict, None, fit))
 
 
-def _comparison(
-    channels: Channels,
+def _compare(
+    channels: Checks,
     reference: str,
     role: str,
-    verdict: str,
-    *,
-    agrees: bool | None,
-    fit: Fit,
-) -> Comparison:
+    named: tuple[str, bool | None, Fit],
+) -> None:
+    """Keep the comparison in degC; the fit is in kelvin."""
     is_pressure = reference in PRESSURES
     offset = 0.0 if is_pressure else KELVIN_OFFSET
-    # the fit was in kelvin, people read degC
+    verdict, agrees, fit = named
     in_c = replace(fit, offset=fit.offset + fit.scale * offset - KELVIN_OFFSET)
-    return Comparison(
+    columns = channels.value(reference), channels.value(role)
+    channels.compare(
         f"{role} against {reference}",
-        reference,
-        role,
-        verdict,
-        agrees,
-        in_c,
-        channels.time_s,
-        channels.value(reference) - offset,
-        channels.value(role) - KELVIN_OFFSET,
+        (reference, role),
+        (columns[0] - offset, columns[1] - KELVIN_OFFSET),
+        (verdict, agrees, in_c),
         "degC",
         reference_unit="bar" if is_pressure else "",
     )
