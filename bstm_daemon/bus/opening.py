@@ -16,7 +16,7 @@ from bstm_daemon.bus.logs.candump import CandumpReader
 from bstm_daemon.bus.logs.reader import FrameReader, Wanted
 from bstm_daemon.bus.logs.text_formats import TextLogReader, is_frame_csv
 from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
-from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.signals.reject_reason import RejectReason, listed
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.bus.tables.table_log import TableReader
 from bstm_daemon.bus.tables.table_plan import TableMap
@@ -210,28 +210,6 @@ def resolve_interfaces(
     ]
 
 
-def _open_frames(path: Path, wanted: Wanted) -> FrameReader:
-    if _kind_of(path) == _TABLE:
-        msg = (
-            f"{path}: is a signal table, but no role of the configuration "
-            "is a 'column'"
-        )
-        raise LogError(msg)
-    return open_log(path, wanted)
-
-
-def _open_table(path: Path, table_map: TableMap) -> TableReader:
-    from bstm_daemon.bus.tables.table_log import TableReader  # noqa: PLC0415
-
-    if not is_table(path):
-        msg = (
-            f"{path}: is a log of CAN frames, but the roles of the "
-            "configuration are columns of a table"
-        )
-        raise LogError(msg)
-    return TableReader(path, table_map)
-
-
 class EventLog:
     """The samples of one log, in file order.
 
@@ -255,11 +233,24 @@ class EventLog:
         self._overrides = dict(overrides or {})
         self._bus_of_channel: list[int] = []
         self.reader: FrameReader | TableReader
+        kind = _kind_of(path)
         if isinstance(signal_map, TableMap):
-            self.reader = table = _open_table(path, signal_map)
+            if kind not in (_TABLE, ".mf4"):
+                msg = (
+                    f"{path}: is a log of CAN frames, but the roles of the "
+                    "configuration are columns of a table"
+                )
+                raise LogError(msg)
+            self.reader = table = TableReader(path, signal_map)
             self._source: Callable[[], Iterator[Events]] = table.events
         else:
-            self._frames = self.reader = _open_frames(path, self._wanted)
+            if kind == _TABLE:
+                msg = (
+                    f"{path}: is a signal table, but no role of the "
+                    "configuration is a 'column'"
+                )
+                raise LogError(msg)
+            self._frames = self.reader = open_log(path, self._wanted)
             self._source = self._decoded
 
     @property
@@ -307,16 +298,16 @@ class EventLog:
         if not reader.seen:
             return (
                 f"no data frame in {reader.lines} lines "
-                f"({_listed(reader.refused)}): {FORMATS}"
+                f"({listed(reader.refused)}): {FORMATS}"
             )
         if not reader.frames:
             return (
                 f"none of the wanted ids: {self._expected()} expected, "
-                f"{self._seen()} seen ({_listed(reader.refused)})"
+                f"{self._seen()} seen ({listed(reader.refused)})"
             )
         return (
             f"no sample in {reader.frames} wanted frames "
-            f"({_listed(self.counts)})"
+            f"({listed(self.counts)})"
         )
 
     def _expected(self) -> str:
@@ -340,10 +331,3 @@ class EventLog:
 def id_text(can_id: int, *, extended: bool) -> str:
     """Return an id as candump writes it: 3 digits, or 8 when extended."""
     return f"{can_id:08X}" if extended else f"{can_id:03X}"
-
-
-def _listed(counts: Counter[RejectReason]) -> str:
-    return ", ".join(
-        f"{count} {reason.value.replace('_', ' ')}"
-        for reason, count in counts.most_common()
-    )

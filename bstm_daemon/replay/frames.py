@@ -9,7 +9,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from bstm_daemon.bus.opening import NOT_READ, open_log, resolve_interfaces
+from bstm_daemon.bus.opening import (
+    NOT_READ,
+    id_text,
+    open_log,
+    resolve_interfaces,
+)
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.sections import Config
 from bstm_daemon.engine import Engine, Published
@@ -116,18 +121,16 @@ def _frames(
         buses = resolve_interfaces(
             reader.interfaces, signal_map.buses, overrides
         )
-        for time_us, place, can_id, extended, length, data in zip(
+        for time_us, place, can_id, extended, data in zip(
             chunk.time_us.tolist(),
             chunk.channel.tolist(),
             chunk.can_id.tolist(),
             chunk.extended.tolist(),
-            chunk.length.tolist(),
-            chunk.data,
+            chunk.payloads(),
             strict=True,
         ):
             if buses[place] != NOT_READ:
-                payload = data[:length].tobytes()
-                yield time_us, buses[place], can_id, extended, payload
+                yield time_us, buses[place], can_id, extended, data
         if progress is not None:
             progress(reader.share)
 
@@ -135,8 +138,6 @@ def _frames(
 def _line(channel: str, published: Published) -> str:
     seconds, micros = divmod(published.time_us, 1_000_000)
     frame = published.frame
-    digits = 8 if frame.extended else 3
-    return (
-        f"({seconds}.{micros:06d}) {channel} "
-        f"{frame.can_id:0{digits}X}#{frame.data.hex().upper()}\n"
-    )
+    name = id_text(frame.can_id, extended=frame.extended)
+    data = frame.data.hex().upper()
+    return f"({seconds}.{micros:06d}) {channel} {name}#{data}\n"

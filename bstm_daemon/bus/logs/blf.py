@@ -54,12 +54,7 @@ class BlfReader(FrameReader):
     counted = "object"
 
     def chunks(self) -> Iterator[FrameChunk]:
-        """Yield the wanted data frames in file order.
-
-        Raises:
-            FileAccessError: The file cannot be read.
-            LogError: The log is damaged.
-        """
+        """Yield the wanted data frames, as :meth:`FrameReader.chunks`."""
         with self.opened() as stream:
             start_s = self._start_s(stream)
             yield from self.in_chunks(self._frames(stream, start_s))

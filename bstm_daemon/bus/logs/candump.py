@@ -76,12 +76,7 @@ class CandumpReader(FrameReader):
             self._columns = columns_for(room)
 
     def chunks(self) -> Iterator[FrameChunk]:
-        """Yield the wanted data frames in file order; a chunk may be empty.
-
-        Raises:
-            FileAccessError: The file cannot be read.
-            LogError: The gzip file is damaged.
-        """
+        """Yield the wanted data frames, as :meth:`FrameReader.chunks`."""
         with self.opened() as stream:
             for store, end in self._whole_lines(stream):
                 chunk = self._parse(store, end)

@@ -389,12 +389,9 @@ class TextLogReader(FrameReader):
         self._parser = _PARSERS[ending.lower()]()
 
     def chunks(self) -> Iterator[FrameChunk]:
-        """Yield the wanted data frames in file order.
+        """Yield the wanted data frames, as :meth:`FrameReader.chunks`.
 
-        Raises:
-            FileAccessError: The file cannot be read.
-            LogError: The gzip file is damaged, or the version or the columns
-                of a TRC log are not read.
+        :class:`LogError` also for version or columns of a TRC log not read.
         """
         with self.opened() as stream:
             yield from self.in_chunks(self._frames(stream))

@@ -12,7 +12,7 @@ messages that the tables cannot hold.
 
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -118,7 +118,7 @@ class ChunkDecoder:
             chunk.channel.tolist(),
             chunk.can_id.tolist(),
             chunk.extended.tolist(),
-            _payloads(chunk),
+            chunk.payloads(),
             strict=True,
         ):
             bus = bus_of_channel[channel]
@@ -179,11 +179,3 @@ class ChunkDecoder:
             if number:
                 counts[reason] += number
         return Events(times[:count], roles[:count], values[:count], counts)
-
-
-def _payloads(chunk: FrameChunk) -> Iterator[bytes]:
-    width = chunk.data.shape[1]
-    joined = chunk.data.tobytes()
-    starts = range(0, len(joined), width)
-    for start, length in zip(starts, chunk.length.tolist(), strict=True):
-        yield joined[start : start + length]

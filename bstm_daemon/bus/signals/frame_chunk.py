@@ -1,5 +1,6 @@
 """Frames of a log as columns."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
@@ -37,6 +38,13 @@ class FrameChunk:
     def __len__(self) -> int:
         """Return the number of frames."""
         return len(self.time_us)
+
+    def payloads(self) -> Iterator[bytes]:
+        """Yield the payload of each frame."""
+        joined = self.data.tobytes()
+        starts = range(0, len(joined), self.data.shape[1])
+        for start, length in zip(starts, self.length.tolist(), strict=True):
+            yield joined[start : start + length]
 
 
 COLUMNS: Final = tuple(field.name for field in fields(FrameChunk))

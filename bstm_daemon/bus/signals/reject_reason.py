@@ -1,5 +1,6 @@
 """Why a line, a frame or a value did not become a sample."""
 
+from collections import Counter
 from enum import StrEnum
 
 
@@ -37,3 +38,11 @@ class RejectReason(StrEnum):
     """The value is infinite or outside 'min' and 'max'."""
     NOT_AVAILABLE = "not_available"
     """The raw value stands for no value, by the DBC's value table."""
+
+
+def listed(counts: Counter[RejectReason]) -> str:
+    """Return *counts* for a message, the most frequent reason first."""
+    return ", ".join(
+        f"{count} {reason.value.replace('_', ' ')}"
+        for reason, count in counts.most_common()
+    )

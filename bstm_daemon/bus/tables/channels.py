@@ -19,10 +19,8 @@ import structlog
 
 from bstm_daemon.bus.logs.mf4 import quiet_asammdf
 from bstm_daemon.bus.tables.binary import BinarySource, naming_damage
-from bstm_daemon.bus.tables.source import TableChunk, units_in_names
+from bstm_daemon.bus.tables.source import Floats, TableChunk, units_in_names
 from bstm_daemon.errors import LogError
-
-Floats = npt.NDArray[np.float64]
 
 _MASTERS: Final = (2, 3)
 """Channel types of MDF 4 that are the time base of a group."""

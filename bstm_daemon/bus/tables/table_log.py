@@ -18,7 +18,7 @@ import structlog
 
 from bstm_daemon.bus.logs.reader import LINES_KEPT
 from bstm_daemon.bus.signals.columns import Events
-from bstm_daemon.bus.signals.reject_reason import RejectReason
+from bstm_daemon.bus.signals.reject_reason import RejectReason, listed
 from bstm_daemon.bus.tables import binary, source
 from bstm_daemon.bus.tables.channels import Mf4Source, XrkSource
 from bstm_daemon.bus.tables.csv_table import CsvSource
@@ -232,11 +232,7 @@ class TableReader:
     def _why_empty(self) -> str:
         if not self.lines:
             return "the table has no row"
-        reasons = (self.refused + self.counts).most_common()
-        refused = ", ".join(
-            f"{count} {reason.value.replace('_', ' ')}"
-            for reason, count in reasons
-        )
+        refused = listed(self.refused + self.counts)
         lines = sorted(chain.from_iterable(self.first_refused.values()))[
             :LINES_KEPT
         ]

@@ -7,10 +7,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from bstm_daemon.bus.tables.source import numbers, texts
+from bstm_daemon.bus.tables.source import Booleans, Floats, numbers, texts
 
-Booleans = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 NEAR_ZERO_US: Final = 1_000_000
