@@ -46,9 +46,11 @@ class PairLink(SocketcanLink):
         """Begin receiving, as on an interface of more ids than filters."""
         receiver = FrameReceiver(self._end, self.counts)
         if self._wanted is not None:
-            receiver.only = frozenset(
-                can_id | (EXTENDED_FLAG if extended else 0)
-                for can_id, extended in self._wanted
+            receiver.let_through(
+                [
+                    can_id | (EXTENDED_FLAG if extended else 0)
+                    for can_id, extended in self._wanted
+                ]
             )
         self._receiver = receiver
         self._enter(LinkState.UP, "")
