@@ -63,10 +63,9 @@ from bstm_daemon.simulation.lanes import (
     FINGER,
     FLUID,
     HUB,
-    LUMPS,
     PISTON,
 )
-from bstm_daemon.simulation.parameters import DrawnPath
+from bstm_daemon.simulation.parameters import LUMPS, DrawnPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
