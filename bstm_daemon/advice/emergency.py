@@ -17,7 +17,7 @@ explains missing deceleration otherwise: no score while ABS or ESC act.
 
 from __future__ import annotations
 
-from math import exp, isfinite, sin
+from math import exp, inf, isfinite, sin
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from bstm_daemon.estimate import Assist, Intervention, RiskLevel
@@ -125,7 +125,7 @@ class EmergencyAssist(Machine):
             return 0.0
         torque_nm = 0.0
         for name, pressure_pa in now.pressures_pa.items():
-            if isfinite(pressure_pa):
+            if 0.0 < pressure_pa < inf:
                 torque_nm += self._torques[name].torque_nm(pressure_pa)
         expected = self._per_torque * torque_nm
         share = 1.0 - exp(-dt_s / SMOOTHING_S)

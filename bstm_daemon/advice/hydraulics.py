@@ -41,6 +41,9 @@ class PedalFeel(Machine):
             self._config.pedal_feel_least,
             self._config.pedal_feel_from_k,
         )
+        if margin_k > from_k and self._feel == 1.0:
+            # nearly always
+            return self._feel
         hot = 1.0 if margin_k <= 0.0 else 0.0
         if from_k > 0.0:
             hot = min(max(1.0 - margin_k / from_k, 0.0), 1.0)

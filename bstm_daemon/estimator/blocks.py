@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from math import nan
 from typing import Final, NamedTuple
@@ -127,14 +127,29 @@ class Block:
     """As ``outputs``, from the hot start; empty where no start was unknown."""
     wear: dict[str, Laws]
     """Per corner of a thermal model: wear laws, each from a publication on."""
+    _corners: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
 
     def at(self, i: int) -> Instant:
         """Return a view of publication *i*."""
-        return Instant(self, i)
+        # without the constructor's own call
+        return tuple.__new__(Instant, (self, i))
 
     def each(self, channel: str) -> array[float]:
         """Return *channel* of VEHICLE_CHANNELS at each publication."""
         return self.vehicle[_VEHICLE[channel] :: len(VEHICLE_CHANNELS)]
+
+    def of_corners(self, channel: str) -> list[tuple[float, ...]]:
+        """Return *channel* of CHANNELS of every corner at each publication."""
+        found = self._corners.get(channel)
+        if found is None:
+            place = _CHANNEL[channel]
+            stride = len(self.layout.corners) * len(CHANNELS)
+            columns = [
+                self.rows[first + place :: stride]
+                for first in self.layout.rows.values()
+            ]
+            self._corners[channel] = found = [*zip(*columns, strict=True)]
+        return found
 
 
 class Instant(NamedTuple):
@@ -186,13 +201,9 @@ class Instant(NamedTuple):
         """Return *channel* of CHANNELS of *corner*, modelled or not."""
         return self.block.rows[self._row(corner) + _CHANNEL[channel]]
 
-    def each(self, channel: str) -> array[float]:
+    def each(self, channel: str) -> tuple[float, ...]:
         """Return *channel* of CHANNELS of every corner, modelled or not."""
-        stride = len(self.block.layout.corners) * len(CHANNELS)
-        first = self.i * stride
-        return self.block.rows[
-            first + _CHANNEL[channel] : first + stride : len(CHANNELS)
-        ]
+        return self.block.of_corners(channel)[self.i]
 
     def row(self, corner: str) -> array[float]:
         """Return all channels of *corner*, modelled or not."""

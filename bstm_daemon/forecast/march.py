@@ -192,12 +192,14 @@ class DutyCourse(NamedTuple):
 
         def is_reached(place: int) -> bool:
             kelvin, std_k = self.fluid_k[place], self.std_k(place)
-            most_k = kelvin + std_k * max(draws)
-            return boiling.probability(most_k) >= limit and (
-                boiling.mean_probability([kelvin + std_k * d for d in draws])
-                >= limit
-            )
+            if boiling.probability(kelvin + std_k * most) < limit:
+                return False
+            if boiling.probability(kelvin + std_k * least) >= limit:
+                return True
+            all_k = [kelvin + std_k * draw for draw in draws]
+            return boiling.mean_probability(all_k) >= limit
 
+        least, most = min(draws), max(draws)
         top_k = max(self.fluid_k)
         if isnan(top_k):
             return nan

@@ -138,9 +138,9 @@ class Ensemble:
         fluid_k = state[self.fluid]
         rises = [(one, one - ambient_k) for one in state[: self.nodes]]
         alone = self._own(fluid_k - ambient_k)
-        for draw in self.draws:
-            common = factor * spread.heat * draw["heat"]
-            own = factor * alone * draw["fluid"]
+        for of_heat, of_fluid, _ in self._starts:
+            common = factor * spread.heat * of_heat
+            own = factor * alone * of_fluid
             member = [value + common * rise_k for value, rise_k in rises]
             for node in self._behind:
                 member[node] += own * rises[node][1]
@@ -287,7 +287,7 @@ class Ensemble:
     def ambients_k(self, ambient_k: float, factor: float) -> list[float]:
         """Return each member's air temperature [K]."""
         width = factor * self.spread.ambient_k
-        return [ambient_k + width * draw["ambient_k"] for draw in self.draws]
+        return [ambient_k + width * of_air for _, _, of_air in self._starts]
 
 
 def _places(program: Program) -> list[tuple[int, str]]:

@@ -75,10 +75,9 @@ class LevelMemory:
 
         The worst one counts, to rise and to stay.
         """
-        aim = max(
-            _aim(self.level, kelvin, limits, 1.0, COOLED_K)
-            for kelvin, limits in zip(kelvins, limits_k, strict=True)
-        )
+        aim = 0
+        for kelvin, limits in zip(kelvins, limits_k, strict=True):
+            aim = max(aim, _aim(self.level, kelvin, limits, 1.0, COOLED_K))
         return self._move(aim, time_us)
 
     def _move(self, aim: int, time_us: int) -> RiskLevel:

@@ -116,12 +116,9 @@ class Boiling:
         """Return the mean probability over *temperatures_k*; NaN of none."""
         if not temperatures_k:
             return nan
-        # most fluids are far from boiling; a sum keeps a NaN, max may not
         if isnan(sum(temperatures_k)):
             return nan
         low, high, lines = self._low, self._high, self._lines
-        if max(temperatures_k) <= low:
-            return 0.0
         found = 0.0
         # as probability(), without a call for each
         for kelvin in temperatures_k:

@@ -150,7 +150,7 @@ class Batch:
         out = array("d", bytes(8 * row * outputs))
         if self.kernel is not None:
             self._march_compiled(
-                *(self.kernel, inputs, array("d", (dt_s,)), out),
+                *(self.kernel, inputs, array("d", (dt_s,)), out, self.ledger),
                 (steps, ALL, output_every, output_phase),
             )
             return out
@@ -164,6 +164,8 @@ class Batch:
         self, inputs: array[float], steps_s: Sequence[float], column: int
     ) -> array[float]:
         """Advance every member by *steps_s*, its inputs held all the time.
+
+        The ledger stays as it is: a look ahead is no energy.
 
         Args:
             inputs: [sets, channels] flat, float64.
@@ -179,15 +181,16 @@ class Batch:
         if self.kernel is not None:
             out = array("d", bytes(8 * len(self.programs) * len(steps_s)))
             self._march_compiled(
-                *(self.kernel, inputs, array("d", steps_s), out),
+                *(self.kernel, inputs, array("d", steps_s), out, array("d")),
                 (len(steps_s), column, 1, 1),
             )
             return out
-        found = array("d")
+        found, ledger = array("d"), self.ledger[:]
         for step_s, run in groupby(steps_s):
             count = len([*run])
             out = self.march(inputs * count, count, step_s)
             found += out[column :: self.width + self.sources]
+        self.ledger = ledger
         return found
 
     def _march_compiled(
@@ -196,6 +199,7 @@ class Batch:
         inputs: array[float] | memoryview,
         steps_s: array[float],
         out: array[float],
+        ledger: array[float],
         which: tuple[int, int, int, int],
     ) -> None:
         kernel.march(
@@ -204,7 +208,7 @@ class Batch:
             self.state,
             inputs,
             self.input_set,
-            self.ledger,
+            ledger,
             out,
             steps_s,
             len(self.programs),

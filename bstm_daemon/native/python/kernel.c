@@ -53,7 +53,8 @@ PyDoc_STRVAR(march_doc,
 "March members through steps; buffers of int32 and float64, contiguous.\n"
 "floats [members, floats]; state [members, nodes + memories], in place;\n"
 "inputs [rows, sets, inputs]; set_of_member [members];\n"
-"ledger [members, links + sources], added to; outputs [outputs, members,\n"
+"ledger [members, links + sources], added to, or empty, where one column of\n"
+"the state is all that is wanted; outputs [outputs, members,\n"
 "nodes + memories + sources], or of one column, filled. inputs and steps_s\n"
 "are one for all steps or one for each. ValueError where sizes do not fit.");
 
@@ -95,8 +96,9 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
                 || !fits(view[1].len / 8, m.members, s.count[COUNT_FLOATS])
                 || !fits(view[2].len / 8, m.members, states)
                 || !fits(view[3].len / 8, m.rows, width)
-                || !fits(view[5].len / 8, m.members,
-                         s.count[COUNT_LINKS] + ns)
+                || !((view[5].len == 0 && m.column >= 0 && m.column < states)
+                     || fits(view[5].len / 8, m.members,
+                             s.count[COUNT_LINKS] + ns))
                 || (row > 0 && view[6].len / 8 / row < outputs))
                 wrong = "a buffer has the wrong size";
             else if (m.durations != 1 && m.durations != m.steps)
@@ -114,7 +116,7 @@ static PyObject *py_march(PyObject *Py_UNUSED(self), PyObject *args)
         m.state = view[2].buf;
         m.inputs = view[3].buf;
         m.set_of = view[4].buf;
-        m.ledger = view[5].buf;
+        m.ledger = view[5].len ? view[5].buf : NULL;
         m.outputs = view[6].buf;
         m.dt = view[7].buf;
         if (m.column < 0) m.column = 0;

@@ -308,9 +308,12 @@ INLINE void factorise(const int W, const Structure *s, Work *w, double gdt)
     }
     for (int p = 0; p < s->count[COUNT_PIVOTS]; p++) {
         double *dp = d + (size_t)sec[PIVOT_NODE][p] * W;
-        /* no lane divides by 0, so that all may divide at once */
-        SET(inverse, 1.0 / (dp[l] == 0.0 ? 1.0 : dp[l]));
-        SET(inverse, dp[l] == 0.0 ? 0.0 : inverse[l]);
+        /* all lanes divide at once, and those by 0, if any, are set right */
+        int64_t zeros = 0;
+        for (int l = 0; l < W; l++) zeros |= dp[l] == 0.0;
+        SET(inverse, 1.0 / dp[l]);
+        for (int l = 0; l < W && zeros; l++)
+            if (dp[l] == 0.0) inverse[l] = 0.0;
         for (int o = sec[PIVOT_OPERATION_START][p];
              o < sec[PIVOT_OPERATION_START][p + 1]; o++) {
             const double *left = off + (size_t)sec[OPERATION_LEFT][o] * W;
@@ -413,8 +416,9 @@ INLINE void link_energy(const int W, const Structure *s, const Work *w,
 }
 
 /* One step of W members; their inputs are already in w->slots, `same` as in
- * the step before or not. */
-INLINE void step(const int W, const Structure *s, Work *w, double dt, int same)
+ * the step before or not; `kept`: whether the ledger is. */
+INLINE void step(const int W, const Structure *s, Work *w, double dt, int same,
+                 int kept)
 {
     const int n = s->count[COUNT_NODES], nm = s->count[COUNT_MEMORIES];
     const int nl = s->count[COUNT_LINKS], ns = s->count[COUNT_SOURCES];
@@ -425,6 +429,8 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt, int same)
 
     for (int i = 0; i < n; i++) {
         const int channel = sec[NODE_INPUT][i];
+        /* without a boundary it is as in the step before */
+        if (same && channel < 0) continue;
         w->fixed[i] = 0;
         for (int l = 0; l < W; l++) {
             const size_t at = (size_t)i * W + l;
@@ -455,7 +461,7 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt, int same)
     balance(W, s, w, w->heat, w->x1);
     factorise(W, s, w, gdt);
     solve(W, s, w, gdt, 1.0, w->x1);
-    for (int k = 0; k < nl; k++)
+    for (int k = 0; k < nl && kept; k++)
         link_energy(W, s, w, gdt, k, w->x1, w->energy1 + (size_t)k * W);
     for (int i = 0; i < n; i++) {
         const size_t first = (size_t)i * W;
@@ -489,14 +495,14 @@ INLINE void step(const int W, const Structure *s, Work *w, double dt, int same)
         SET(w->x2 + at,
             w->x2[at + l] - 2.0 * (w->capacity[at + l] * w->x1[at + l]));
     solve(W, s, w, gdt, -1.0, w->x2);
-    for (int k = 0; k < nl; k++) {
+    for (int k = 0; k < nl && kept; k++) {
         const size_t at = (size_t)k * W;
         double energy2[LANES];
         link_energy(W, s, w, gdt, k, w->x2, energy2);
         SET(w->ledger + at, w->ledger[at + l]
             + half * (w->energy1[at + l] + energy2[l]));
     }
-    for (int k = 0; k < ns; k++) {
+    for (int k = 0; k < ns && kept; k++) {
         const size_t at = (size_t)k * W;
         double *energy = w->ledger + (size_t)nl * W + at;
         SET(energy,
@@ -558,7 +564,7 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
                                                    : (size_t)m->members - 1;
     gather(W, member, w->floats, m->floats, floats);
     gather(W, member, w->state, m->state, states);
-    gather(W, member, w->ledger, m->ledger, nl + ns);
+    if (m->ledger) gather(W, member, w->ledger, m->ledger, nl + ns);
     double *out = m->outputs;
     int due = m->phase;
     for (ptrdiff_t t = 0; t < m->steps; t++) {
@@ -570,7 +576,8 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
             for (size_t c = 0; c < ni; c++)
                 w->slots[(states + c) * W + l] = channels[c];
         }
-        step(W, s, w, m->dt[m->durations == 1 ? 0 : t], same);
+        step(W, s, w, m->dt[m->durations == 1 ? 0 : t], same,
+             m->ledger != NULL);
         if (--due == 0) {
             for (int l = 0; l < W; l++) {
                 double *to = out + member[l] * width;
@@ -583,7 +590,7 @@ INLINE void march_block(const int W, const March *m, Work *w, size_t first)
         }
     }
     scatter(W, member, m->state, w->state, states);
-    scatter(W, member, m->ledger, w->ledger, nl + ns);
+    if (m->ledger) scatter(W, member, m->ledger, w->ledger, nl + ns);
 }
 
 static void march_one(const March *m, Work *w, size_t first)

@@ -21,7 +21,7 @@ typedef struct {
     double *state;            /* [members][nodes + memories] */
     const double *inputs;     /* [rows][sets][inputs] */
     const int32_t *set_of;    /* [members] */
-    double *ledger;           /* [members][links + sources] */
+    double *ledger;           /* [members][links + sources], or NULL */
     double *outputs;          /* [outputs][members][columns] */
     const double *dt;         /* [durations] of the steps */
     /* rows and durations are one for all steps, or one for each */
