@@ -86,9 +86,12 @@ def file_size_limit(size_bytes: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.fixture
+@contextmanager
 def owned_folder() -> Iterator[Path]:
-    """Give a folder of a user whom permissions hold back, and be that one."""
+    """Give a folder of a user whom permissions hold back, and be that one.
+
+    Not a fixture: what runs between the test and its end is root's.
+    """
     folder = Path(tempfile.mkdtemp())
     root = os.geteuid() == 0
     if root:
@@ -99,9 +102,9 @@ def owned_folder() -> Iterator[Path]:
             pytest.skip(f"{folder} is out of reach of an ordinary user")
         yield folder
     finally:
-        folder.chmod(0o700)
         if root:
             os.seteuid(0)
+        folder.chmod(0o700)
         shutil.rmtree(folder)
 
 
@@ -235,17 +238,16 @@ def test_a_full_disk_leaves_the_old_file_alone(tmp_path: Path) -> None:
     assert load(path).document == DOCUMENT
 
 
-def test_a_read_only_folder_is_an_error_for_save_alone(
-    owned_folder: Path,
-) -> None:
+def test_a_read_only_folder_is_an_error_for_save_alone() -> None:
     """Reading goes on."""
-    path = owned_folder / "golf.state"
-    save(path, encode(DOCUMENT))
-    owned_folder.chmod(0o500)
+    with owned_folder() as folder:
+        path = folder / "golf.state"
+        save(path, encode(DOCUMENT))
+        folder.chmod(0o500)
 
-    with pytest.raises(PermissionError):
-        save(path, encode({}))
-    assert load(path).document == DOCUMENT
+        with pytest.raises(PermissionError):
+            save(path, encode({}))
+        assert load(path).document == DOCUMENT
 
 
 @pytest.mark.parametrize("kind", ["folder", "fifo", "device"])
@@ -448,29 +450,31 @@ def test_the_newest_bad_files_stay(tmp_path: Path) -> None:
     assert len(bad) == KEPT_BAD_FILES
 
 
-def test_a_bad_file_in_a_read_only_folder_stays(owned_folder: Path) -> None:
+def test_a_bad_file_in_a_read_only_folder_stays() -> None:
     """Nothing is raised, and the problem says so."""
-    path = owned_folder / "golf.state"
-    path.write_bytes(b"bad")
-    owned_folder.chmod(0o500)
+    with owned_folder() as folder:
+        path = folder / "golf.state"
+        path.write_bytes(b"bad")
+        folder.chmod(0o500)
 
-    assert load(path).problem == (
-        f"{path}: does not begin with the line of a state file; left in "
-        "place: Permission denied"
-    )
-    assert names(owned_folder) == {"golf.state"}
+        assert load(path).problem == (
+            f"{path}: does not begin with the line of a state file; left in "
+            "place: Permission denied"
+        )
+        assert names(folder) == {"golf.state"}
 
 
-def test_an_unreadable_file_is_set_aside(owned_folder: Path) -> None:
-    path = owned_folder / "golf.state"
-    save(path, encode(DOCUMENT))
-    path.chmod(0)
+def test_an_unreadable_file_is_set_aside() -> None:
+    with owned_folder() as folder:
+        path = folder / "golf.state"
+        save(path, encode(DOCUMENT))
+        path.chmod(0)
 
-    problem = load(path).problem
+        problem = load(path).problem
 
-    assert problem is not None
-    assert problem.startswith(f"{path}: Permission denied; set aside as ")
-    assert load(path) == Loaded(None, None)
+        assert problem is not None
+        assert problem.startswith(f"{path}: Permission denied; set aside as ")
+        assert load(path) == Loaded(None, None)
 
 
 def test_a_file_where_the_folder_should_be(tmp_path: Path) -> None:
@@ -586,24 +590,22 @@ def test_no_lock_where_none_can_be(tmp_path: Path, place: str) -> None:
         assert held.problem.startswith(f"{path}.lock: no lock: ")
 
 
-def test_a_read_only_folder_still_tells_two_instances_apart(
-    owned_folder: Path,
-) -> None:
+def test_a_read_only_folder_still_tells_two_instances_apart() -> None:
     """By the lock file from before; without one there is no lock."""
-    path = owned_folder / "golf.state"
-    lock(path).close()
-    (owned_folder / "golf.state.lock").chmod(0o400)
-    owned_folder.chmod(0o500)
+    with owned_folder() as folder:
+        path = folder / "golf.state"
+        lock(path).close()
+        (folder / "golf.state.lock").chmod(0o400)
+        folder.chmod(0o500)
 
-    with closing(lock(path)) as held:
-        assert held.problem is None
-        with pytest.raises(StateLockedError):
-            lock(path)
-    with closing(lock(owned_folder / "polo.state")) as other:
-        assert other.problem is not None
-        assert other.problem == (
-            f"{owned_folder}/polo.state.lock: no lock: Permission denied"
-        )
+        with closing(lock(path)) as held:
+            assert held.problem is None
+            with pytest.raises(StateLockedError):
+                lock(path)
+        with closing(lock(folder / "polo.state")) as other:
+            assert other.problem == (
+                f"{folder}/polo.state.lock: no lock: Permission denied"
+            )
 
 
 def test_a_full_disk_does_not_prevent_the_lock(tmp_path: Path) -> None:
