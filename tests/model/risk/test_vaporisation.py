@@ -205,6 +205,7 @@ def test_mean_probability_is_that_of_every_temperature() -> None:
     assert found.quantile(1.0) == 430.0
     narrow = Boiling([400.0, 400.5])
     assert narrow.probability(400.2) == pytest.approx(0.6)
+    assert narrow.mean_probability([400.2]) == narrow.probability(400.2)
     assert narrow.probability(401.0) == 1.0
 
 
