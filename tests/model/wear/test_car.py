@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from array import array
+from dataclasses import replace
 from itertools import pairwise
 from math import isnan, nan
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,13 @@ from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import export_state, restore_state
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.model.thermal.regrid import heat_above_j
-from bstm_daemon.model.wear.car import exchange
-from bstm_daemon.model.wear.dose import DOSE
+from bstm_daemon.model.wear.car import (
+    KNOWN_DISTANCE_M,
+    CarWear,
+    exchange,
+    keep_totals,
+)
+from bstm_daemon.model.wear.dose import DISTANCE, DOSE
 from bstm_daemon.model.wear.pads import Change
 from bstm_daemon.model.wear.table import WEAR_COLUMNS, wear_table
 from bstm_daemon.roles import ROLE_INDEX
@@ -144,7 +150,8 @@ def test_the_table_agrees_with_the_law(car: Config) -> None:
                     law.std_at_m(dose),
                     law.disc_loss_at_m(dose),
                 ]
-    assert len(WEAR_COLUMNS) == 3
+    names = "pad_thickness_m", "pad_thickness_std_m", "disc_loss_m"
+    assert names == WEAR_COLUMNS
 
 
 @settings(max_examples=10, deadline=None)
@@ -376,12 +383,107 @@ def test_remaining_distance_and_level(car: Config) -> None:
     end = wear.estimate("FL", law, 3.6 * dose_j, 400_000.0)
 
     assert np.isnan(early.remaining_distance_m)
+    known = wear.estimate("FL", law, dose_j, KNOWN_DISTANCE_M)
+    assert known.remaining_distance_m == pytest.approx(125_000.0)
+    assert KNOWN_DISTANCE_M == 50_000.0
     # 7 mm left, 5 of them to use, 2 mm in 100 km
     assert late.remaining_distance_m == pytest.approx(250_000.0)
     assert late.level is WearLevel.OK
     assert wear.estimate("FL", law, 2 * dose_j, 1e5).level is WearLevel.CHECK
     assert end.level is WearLevel.WORN
     assert end.remaining_distance_m == 0.0
+    for deviations, level in ((1.99, "CHECK"), (2.05, "OK")):
+        thickness_m = car.wear.limit_m + deviations * law.thickness_std_m
+        near = replace(law, thickness_m=thickness_m)
+        found = wear.estimate("FL", near, law.dose_j, 0.0)
+        assert found.level is WearLevel[level]
+
+
+def test_remaining_distance_counts_from_the_new_pads(car: Config) -> None:
+    wear = CarWear(car, PRESENT)
+    pad = wear.pads["FL"]
+    pad.happened("pads_new", 5e9, 1e6, seen=True)
+    dose_j = 5e9 + 2e-3 / pad.law.rate_m_j
+
+    found = wear.estimate("FL", pad.law, dose_j, 1e6 + 100_000.0)
+
+    # 2 mm of 11 in 100 km, down to 2 mm
+    assert found.remaining_distance_m == pytest.approx(350_000.0)
+
+
+def noted(wear: CarWear, role: int, values: Sequence[float]) -> None:
+    """Let *wear* have two samples of each of *values*, a second apart."""
+    twice = [value for value in values for _ in range(2)]
+    times = [at * SECOND for at in range(len(twice))]
+    wear.note(times, [role] * len(twice), twice)
+
+
+def test_a_switch_is_on_above_a_half_and_both_corners_hear_it(
+    car: Config,
+) -> None:
+    both = car.wear.model_copy(update={"indicators": "all"})
+    wear = CarWear(car.model_copy(update={"wear": both}), PRESENT)
+    noted(wear, WORN, [0.4, 0.6])
+
+    assert wear.laws([], lambda *_: (0.0, 0.0)) == {}
+    laws = wear.laws([0, 10 * SECOND], lambda *_: (0.0, 0.0))
+
+    assert wear.export()["levels"]["pad_worn_1mm"] is True
+    for name in ("FL", "RL"):
+        lowest_m = [law.lowest_m for _, law in laws[name]]
+        # off: above 10 mm, which the entered 9 mm contradict; on: below
+        assert lowest_m == [0.0, 0.0, 0.0]
+        assert wear.pads[name].law.highest_m == pytest.approx(0.010)
+        assert [at for at, _ in laws[name]] == [0, 1, 1]
+
+
+def test_the_last_events_are_kept(car: Config) -> None:
+    """64 of them: more come from a wrong clock."""
+    wear = CarWear(car, PRESENT)
+    noted(wear, NEW, [0.0, 1.0] * 40)
+
+    laws = wear.laws([0, 1000 * SECOND], lambda *_: (0.0, 0.0))
+
+    assert len(laws["FL"]) == 1 + 64
+    assert len(laws["RL"]) == 1
+
+
+def test_a_disc_that_was_entered_worn_has_its_mass(car: Config) -> None:
+    """The configured mass is that of the disc as it was measured."""
+    corner = car.corner[0]
+    assert corner.disc is not None
+    worn = corner.disc.model_copy(update={"worn_m": 5e-4})
+    corner = corner.model_copy(update={"disc": worn})
+
+    wear = CarWear(car.model_copy(update={"corner": [corner]}), PRESENT)
+
+    built = wear.built_corner("FL").disc
+    assert built is not None
+    assert built.mass_kg == worn.mass_kg
+
+
+def test_a_corner_that_was_not_saved_keeps_none_from_its_own(
+    car: Config,
+) -> None:
+    worn = CarWear(car, PRESENT)
+    for pad in worn.pads.values():
+        pad.happened("pads_new", 1e6, 0.0, seen=True)
+
+    fresh = CarWear(car, PRESENT).restored(worn.export(), {"RL": 2e6})
+
+    assert fresh.pads["FL"].law.source is WearSource.CONFIGURED
+    assert fresh.pads["RL"].law == worn.pads["RL"].law
+
+
+def test_totals_outlive_unknown_temperatures() -> None:
+    names = ["disc", DOSE, DISTANCE]
+    fresh = array("d", [300.0, 0.0, 0.0])
+
+    keep_totals(fresh, names, array("d", [nan, 5.0, 7.0]))
+    assert [*fresh] == [300.0, 5.0, 7.0]
+    keep_totals(fresh, names, array("d", [400.0, nan, -0.5]))
+    assert [*fresh] == [300.0, 5.0, 7.0]
+    assert (DOSE, DISTANCE) == ("wear_dose_j", "wear_distance_m")
 
 
 @pytest.mark.parametrize(

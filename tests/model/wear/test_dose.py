@@ -159,3 +159,8 @@ def test_rates_are_volumes_over_areas(make_car: Callable[..., Any]) -> None:
 
     assert pad_rate_m_j(car, car.corner[0]) == pytest.approx(3e-13 / 13e-3)
     assert disc_rate_m_j(car, car.corner[0]) == pytest.approx(1e-13 / 42.5e-3)
+    bare = car.corner[0].model_copy(update={"pad": None, "disc": None})
+    with pytest.raises(ValueError, match="corner FL: no pads"):
+        pad_rate_m_j(car, bare)
+    with pytest.raises(ValueError, match="corner FL: no disc"):
+        disc_rate_m_j(car, bare)

@@ -54,6 +54,10 @@ def test_no_dose_is_no_rate(dose_j: float) -> None:
         first_millimetre_rate_m_j(1e-3, 5.0, 5.0 + dose_j)
 
 
+def test_a_disc_loses_nothing_unless_it_is_given() -> None:
+    assert line().disc_loss_at_m(1e9) == 0.0
+
+
 def test_the_interval_grows_with_what_is_worn() -> None:
     law = line()
 

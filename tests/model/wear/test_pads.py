@@ -141,6 +141,52 @@ def test_pads_of_unknown_age_correct_but_teach_nothing(
     assert pad.law.source is WearSource.CONFIGURED
     assert pad.law.thickness_at_m(1e6) == pytest.approx(0.010)
     assert pad.law.rate_m_j == pytest.approx(EXPECTED)
+    pad.happened("pad_2mm_left", 2e6, 0.0, seen=True)
+    # from a first indicator of unknown age on eight millimetres are known
+    assert pad.law.thickness_at_m(2e6) == pytest.approx(0.002)
+
+
+def test_the_second_indicator_alone_of_unknown_pads(
+    make: Callable[..., PadWear],
+) -> None:
+    pad = make(thickness_m=0.009, new_thickness_m=0.011)
+
+    pad.happened("pad_2mm_left", 9 * MJ_A_MM, 0.0, seen=True)
+
+    assert pad.law.thickness_at_m(9 * MJ_A_MM) == pytest.approx(0.002)
+    assert pad.law.rate_m_j == pytest.approx(EXPECTED)
+
+
+@pytest.mark.parametrize(
+    ("thickness_m", "new_dose_j"),
+    [(0.01089, None), (0.01091, 0.0), (0.011, 0.0)],
+)
+def test_a_configured_lining_is_new_within_a_tenth(
+    make: Callable[..., PadWear], thickness_m: float, new_dose_j: float | None
+) -> None:
+    pad = make(thickness_m=thickness_m, new_thickness_m=0.011)
+
+    assert pad.new_dose_j == new_dose_j
+
+
+def test_an_indicator_on_from_the_start_takes_back_that_it_was_off(
+    make: Callable[..., PadWear],
+) -> None:
+    pad = make()
+    pad.off("pad_2mm_left", 0.0)
+
+    pad.happened("pad_2mm_left", 1e6, 0.0, seen=False)
+
+    assert pad.law.lowest_m == 0.0
+    assert pad.law.thickness_at_m(1e6) == pytest.approx(0.002)
+
+
+def test_a_corner_without_pads(make_car: Callable[..., Any]) -> None:
+    car = make_car()
+    bare = car.corner[0].model_copy(update={"pad": None})
+
+    with pytest.raises(ValueError, match="corner FL: no pads"):
+        PadWear(car, bare)
 
 
 @pytest.mark.parametrize("dose_j", [0.0, 1e5, 1e12])
@@ -179,6 +225,7 @@ def test_state_comes_back_whole(make: Callable[..., PadWear]) -> None:
 
     assert fresh.law == pad.law
     assert fresh.export() == pad.export()
+    assert saved["entry"] == [0.011, None, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -198,6 +245,20 @@ def test_a_changed_entry_is_a_measurement_of_now(
     assert fresh.law.thickness_at_m(100e6) == entered_m
     assert fresh.law.std_at_m(100e6) == pytest.approx(5e-4)
     assert fresh.change is Change.CORRECTED
+    assert fresh.first_dose_j is None
+
+
+def test_a_disc_that_is_entered_anew(make: Callable[..., PadWear]) -> None:
+    """Its loss counts from now; what was worn before is in the entry."""
+    pad = make(thickness_m=0.009, new_thickness_m=0.011)
+    pad.new_dose_j = 0.0
+
+    pad.configure([0.009, None, 3e-4], 1e9)
+
+    assert pad.law.disc_loss_at_m(1e9) == 0.0
+    assert pad.new_dose_j is None
+    pad.configure([0.008, None, 0.0], 2e9)
+    assert pad.law.disc_loss_at_m(2e9) == pytest.approx(1e9 * 1e-13 / 42.5e-3)
 
 
 def test_the_same_entry_is_not_news(make: Callable[..., PadWear]) -> None:
@@ -226,6 +287,23 @@ def test_what_is_no_state_is_refused(
     saved = make().export() | change
 
     with pytest.raises((KeyError, TypeError, ValueError)):
+        make().restore(saved, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("source", WearSource.NOT_AVAILABLE, "rests on nothing"),
+        ("dose_j", float("inf"), "dose_j = inf: not a number"),
+    ],
+)
+def test_a_law_that_no_lining_has_is_refused(
+    make: Callable[..., PadWear], name: str, value: float, reason: str
+) -> None:
+    saved = make().export()
+    saved["law"][name] = value
+
+    with pytest.raises(ValueError, match=reason):
         make().restore(saved, 0.0)
 
 
