@@ -200,6 +200,19 @@ def test_what_gives_no_value_is_refused(text: str, reason: str) -> None:
         raw_signal(database.messages[0], "s")
 
 
+@pytest.mark.parametrize(
+    ("layout", "limits"),
+    [("0|8@1+", (0, 255)), ("0|8@1-", (-128, 127)), ("0|1@1-", (-1, 0))],
+)
+def test_the_limits_of_a_raw_value(
+    layout: str, limits: tuple[int, int]
+) -> None:
+    text = signal_text(layout)
+    database = cantools.database.load_string(text, "dbc")
+
+    assert raw_signal(database.messages[0], "s").raw_limits == limits
+
+
 def test_multiplexers_are_followed_to_the_root() -> None:
     text = (
         HEAD
@@ -293,7 +306,7 @@ def signal_map(tmp_path_factory: pytest.TempPathFactory) -> SignalMap:
         *("notavailable", "SigNotAvail", "Signal not available", "n/a"),
         *("unavailable", "Invalid", "signal_invalid", "InvalidValue"),
         *("not valid", "Error", "ERROR", "error indicator", "Sensor fault"),
-        *("SNA / error", "Invalid or not available", "FAULT"),
+        *("SNA / error", "Invalid or not available", "FAULT", " N.A. "),
     ],
 )
 def test_a_name_that_says_there_is_no_value(name: str) -> None:

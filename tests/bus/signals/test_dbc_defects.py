@@ -1,5 +1,6 @@
 """Defects of DBC files in the wild: refused with the place, or left out."""
 
+import codecs
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -20,6 +21,7 @@ from bstm_daemon.bus.signals.dbc import (
 from bstm_daemon.bus.signals.dbc_survey import MessageOutline
 from bstm_daemon.bus.signals.dbc_text import (
     Statement,
+    decode_dbc,
     edited,
     guess_encoding,
     statements_of,
@@ -75,7 +77,9 @@ CASES = {
         + 'BO_ 101 BRAKE: 8 X\n SG_ other : 0|8@1+ (1,0) [0|0] "" X\n'
         + 'VAL_ 101 other 0 "no" ;\n',
         {"BRAKE": ["pressure", "pressed"]},
-        ["line 9: message 'BRAKE': has the name of the message in line 5"],
+        [
+            "has the name of the message in line 5, which counts: dropped",
+        ],
     ),
     "signal name twice": (
         HEAD + GOOD.replace("pressed", "pressure"),
@@ -96,6 +100,28 @@ CASES = {
         WHOLE.replace("16|1@", "16|0@"),
         {"BRAKE": ["pressure"]},
         ["line 7: message 'BRAKE': signal 'pressed' has no bits"],
+    ),
+    "signal of too many bits": (
+        WHOLE.replace("16|1@", "16|514@"),
+        {"BRAKE": ["pressure"]},
+        ["'pressed' has 514 bits, more than 512: dropped"],
+    ),
+    "signal beyond any message": (
+        WHOLE.replace("16|1@", "32760|1@"),
+        {"BRAKE": ["pressure"]},
+        ["'pressed' begins at bit 32760, beyond 4095 bytes: dropped"],
+    ),
+    "message of too many bytes": (
+        WHOLE + 'BO_ 101 BIG: 4096 X\n SG_ b : 0|8@1+ (1,0) [0|0] "" X\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 9: message 'BIG': has 4096 bytes, more than 4095: dropped"],
+    ),
+    "values of no number": (
+        WHOLE + 'VAL_ "100" pressed 0 "off" 1 "on" 2 "between the two";\n',
+        {"BRAKE": ["pressure", "pressed"]},
+        [
+            'the... (form: VAL_ id signal value "text" ... ;): dropped',
+        ],
     ),
     "message without bytes": (
         WHOLE.replace("BRAKE: 8", "BRAKE: 0"),
@@ -140,6 +166,11 @@ CASES = {
         HEAD + GOOD.replace("\n\n", "\nhello, world\n") + "\n",
         {"BRAKE": ["pressure", "pressed"]},
         ["line 8: message 'BRAKE': cannot be read: hello, world"],
+    ),
+    "stray lines farther down": (
+        HEAD + GOOD.replace("\n\n", "\n\n\nhello,\nworld\n") + "\n",
+        {"BRAKE": ["pressure", "pressed"]},
+        ["line 10: message 'BRAKE': cannot be read: hello, world: dropped"],
     ),
     "letter outside ASCII in a name": (
         HEAD + GOOD.replace("pressed", "gedr\u00fcckt"),
@@ -233,8 +264,10 @@ def test_a_multiplexer_marked_m_works_as_one(tmp_path: Path) -> None:
     path = tmp_path / "car.dbc"
     path.write_text(CASES["mark m without a number"][0])
 
-    code, leaf = lenient(path).database.messages[0].signals
+    loaded = lenient(path)
+    code, leaf = loaded.database.messages[0].signals
 
+    assert [one.signals for one in loaded.warnings] == [("code",)]
     assert code.is_multiplexer
     assert (leaf.multiplexer_signal, leaf.multiplexer_ids) == ("code", [1])
 
@@ -248,7 +281,8 @@ def test_two_messages_of_one_id_are_said_and_both_kept(tmp_path: Path) -> None:
     assert list(signals_of(loaded)) == ["BRAKE", "OTHER"]
     (warning,) = loaded.warnings
     assert str(warning).startswith(
-        "line 9: message 'OTHER': has the id 0x64 of message 'BRAKE' in line 5"
+        "line 9: message 'OTHER': has the id 0x64 of message 'BRAKE' in line "
+        "5: roles can be read from one of them"
     )
     assert warning.same_id
 
@@ -262,8 +296,15 @@ def test_two_messages_of_one_id_are_said_and_both_kept(tmp_path: Path) -> None:
         WHOLE + "// a remark // twice\n",
         WHOLE + 'CM_ "http://example.org\nBO_ 1 in a text: it stays";\n',
         'VERSION ""\nNS_ :\n\tCM_\n\tBO_\n\nBS_:\n\nBU_: X\n' + GOOD,
+        HEAD + GOOD.replace("BRAKE: 8", "BRAKE: 64").replace("16|1@", "80|1@"),
+        WHOLE
+        + "BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 Vector__XXX\n"
+        + ' SG_ loose : 0|8@1+ (1,0) [0|0] "" Vector__XXX\n',
     ],
-    ids=["no version", "CRLF", "CR", "remark", "long text", "NS_"],
+    ids=[
+        *("no version", "CRLF", "CR", "remark", "long text", "NS_"),
+        *("long message", "signals of no message"),
+    ],
 )
 @pytest.mark.parametrize("strict", [True, False])
 def test_what_is_odd_but_readable_is_no_defect(
@@ -285,8 +326,12 @@ def test_what_is_odd_but_readable_is_no_defect(
         ("utf-8", "utf-8", ""),
         ("utf-8-sig", "cp1252", ""),
         ("utf-16", "cp1252", ""),
+        ("utf-32", "cp1252", ""),
         ("cp437", "cp437", ""),
-        ("utf-8", "cp1252", "looks like UTF-8"),
+        (
+            *("utf-8", "cp1252"),
+            "read as 'cp1252': set encoding = \"utf-8\" in its [[bus]]",
+        ),
         ("cp1252", "utf-8", "are not in the encoding 'utf-8'"),
     ],
 )
@@ -305,6 +350,25 @@ def test_texts_in_several_encodings(
         warned
     )
     assert all("line 6: " in str(one) for one in loaded.warnings)
+
+
+def test_a_byte_order_mark_goes_before_the_encoding() -> None:
+    text = codecs.BOM_UTF32_BE + WHOLE.encode("utf-32-be")
+
+    assert decode_dbc(text, "cp1252") == (WHOLE, [])
+
+
+def test_a_comment_that_is_too_long_is_left_out(tmp_path: Path) -> None:
+    """It takes time to read, and no value is in it."""
+    path = tmp_path / "car.dbc"
+    comment = f'CM_ BO_ 100 "{"x" * 65522}";'
+    path.write_text(WHOLE + comment + "\n")
+
+    (warning,) = read_dbc(path, strict=True, encoding="cp1252").warnings
+
+    assert str(warning) == "line 9: a comment of 65537 characters: left out"
+    path.write_text(WHOLE + comment.replace("xx", "x", 1) + "\n")
+    assert lenient(path).warnings == ()
 
 
 def test_the_encoding_of_bytes_is_guessed() -> None:

@@ -85,7 +85,17 @@ def test_an_error_names_the_position(text: str, message: str) -> None:
         parse_expression(text)
 
 
-@pytest.mark.parametrize("text", ["a / b", "1 / (b - b)", "min(a / b, a)"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("a / b", "1 / (b - b)"),
+        *(
+            f"{name}({of})"
+            for name in ("min", "max")
+            for of in ("a / b, a", "a, a / b")
+        ),
+    ],
+)
 def test_a_division_by_zero_is_no_number(text: str) -> None:
     assert math.isnan(value_of(text, a=1.0, b=0.0))
     assert math.isnan(value_of(text, a=1.0, b=-0.0))
@@ -154,6 +164,9 @@ def test_the_limits_are_what_is_still_read() -> None:
     assert value_of(deep, a=3.0) == 3.0
     with pytest.raises(ExpressionError, match="nested deeper than 50"):
         parse_expression(f"({deep})")
+
+    beside = "+".join(["(a)"] * 60)
+    assert value_of(beside, a=3.0) == 180.0
 
     wide = "+".join(["a"] * 200)
     assert value_of(wide, a=3.0) == 600.0

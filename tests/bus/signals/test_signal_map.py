@@ -133,9 +133,12 @@ def test_an_id_that_is_read_is_not_for_our_frames(
     body = compile_map(ambient_temperature=source("BODY", "ambient", "degC"))
 
     problems = brake.taken_ids(0, id_base)
-    assert [("id 0x100 of message 'BRAKE'" in one) for one in problems] == (
-        [True] * taken
+    expected = (
+        f"[publish] id_base = 0x{id_base:X}: the id 0x100 of message 'BRAKE' "
+        "would be ours, but this configuration reads it: choose another "
+        "id_base"
     )
+    assert problems == [expected] * taken
     assert brake.taken_ids(1, id_base) == []
     assert body.taken_ids(0, id_base) == []
 
