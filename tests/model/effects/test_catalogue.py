@@ -140,6 +140,35 @@ def test_applied_to_its_corner_only(
     assert edited.network.link("wet_disc").a == "disc"
 
 
+def test_each_entry_is_told_what_is_wrong_with_it() -> None:
+    """One line each, however many there are before it."""
+    found = problems_of(
+        [
+            *(entry("wet_disc", "FL"), entry("wet_disc", "FR")),
+            *(entry("wet_disc"), entry("brake_share", "FL")),
+            entry("mass_error", "RL"),
+        ]
+    )
+
+    car = "acts on the whole car, leave 'corner' out"
+    assert found == [
+        "[[effect]] wet_disc: given twice for corner FL",
+        f'[[effect]] brake_share corner = "FL": {car}',
+        f'[[effect]] mass_error corner = "RL": {car}',
+    ]
+
+
+def test_forms_are_other_values_of_what_the_effect_has() -> None:
+    for name in effect_names():
+        cls = effect_class(name)
+        typical = {p.name: p.typical for p in cls.own_parameters}
+        found = [typical]
+        for form in cls.forms:
+            assert not cls.problems(form)
+            assert typical | form not in found
+            found.append(typical | form)
+
+
 def test_effects_are_plain_edits() -> None:
     """Neither the kernel nor its reference knows an effect by name."""
     root = Path(bstm_daemon.__file__).parent

@@ -9,16 +9,19 @@ import pytest
 
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.catalogue import (
+    apply_effects,
     effect_class,
     effect_names,
     problems_of,
 )
 from bstm_daemon.model.effects.composed import (
+    AIR,
     FORMS,
     PATHS,
     SIZES,
     Composed,
     Term,
+    is_composed,
     read,
 )
 from bstm_daemon.model.effects.model import CornerModel
@@ -204,6 +207,39 @@ def test_terms_together_take_away_no_more_than_all() -> None:
     assert not Composed.problems({**half, "strength": 0.8})
 
 
+def test_each_term_is_told_what_is_wrong_with_it() -> None:
+    values = {"strength": 1.0, "disc to moon": 1.0, "disc to air, at": 1.0}
+
+    found = Composed.problems({**values, "disc to air": -1.0})
+
+    said = [line.partition(": ")[0] for line in found]
+    assert said == [f"parameters.'{k}'" for k in (*values, "disc to air")][1:]
+
+
+@pytest.mark.parametrize("last", ["composed", "local_air"])
+def test_what_goes_to_the_air_begins_where_it_says(
+    make_spec: Callable[..., CornerSpec], last: str
+) -> None:
+    """It goes to the air beside the brake; the fluid's by its caliper."""
+    spec = make_spec(thermal={})
+    base = CornerModel(spec, build_corner(spec, INPUTS), True)
+    paths = [p for p in PATHS.values() if (p.kind, p.b) == ("link", AIR)]
+    entries = [
+        EffectConfig(
+            name="composed", parameters={p.text: p.size for p in paths}
+        ),
+        *(EffectConfig(name=n) for n in ("local_air", "caliper_fluid_split")),
+    ]
+    entries.sort(key=lambda one: one.name == last)
+
+    net = apply_effects(base, entries).network
+
+    for path in paths:
+        link = net.link(path.text)
+        start = {"fluid": "caliper"}.get(path.a, path.a)
+        assert (link.a, link.b) == (start, "air")
+
+
 def test_sizes_have_the_dimension_of_their_path() -> None:
     """W/K on links, W on sources, none on shares of what has its own."""
     units = {kind: unit for kind, (unit, *_) in SIZES.items()}
@@ -217,6 +253,7 @@ def test_sizes_have_the_dimension_of_their_path() -> None:
         "heat": "1",
     }
     assert read("share of disc to air", -0.45).said == "45 % less"
+    assert read("share of disc to air", 0.45).said == "45 % more"
     assert read(HOT, 4.2).said == "4.2 W/K"
 
 
@@ -232,6 +269,12 @@ def test_strength_scales_all_sizes_and_0_is_absence(corner: Make) -> None:
 def test_it_is_beside_the_catalogue_and_not_of_it() -> None:
     assert effect_class("composed") is Composed
     assert "composed" not in effect_names()
+    assert Composed.number not in {
+        effect_class(n).number for n in effect_names()
+    }
+    assert Composed.description.startswith("A heat path that no effect")
+    assert is_composed(f"composed.{HOT}")
+    assert not any(map(is_composed, effect_names()))
 
 
 def test_a_path_that_a_structure_lacks_is_a_worded_problem(

@@ -88,9 +88,40 @@ def test_the_catalogue_is_whole() -> None:
 
 
 def test_twins_are_effects_and_mutual() -> None:
-    """A twin is in the catalogue, has its twin in turn, and is another."""
+    """A twin is in the catalogue and is another; one of a pair names both."""
     names = set(effect_numbers().values())
     for name in names:
         assert set(effect_class(name).twins) <= names - {name}
-        for twin in twins_of(name):
-            assert name in twins_of(twin)
+        for twin in effect_class(name).twins:
+            assert name not in effect_class(twin).twins
+
+
+def test_units_are_those_that_names_end_with() -> None:
+    """A share or an exponent has none."""
+    units = {
+        **{f"_{unit}": unit for unit in ("m", "m2", "s", "kg")},
+        "_k": "K",
+        "_c": "degC",
+        "_j": "J",
+        "_nm": "Nm",
+        "_pa": "Pa",
+        "_w_k": "W/K",
+        "_w_m2k": "W/m2K",
+        "_j_k": "J/K",
+        "_ms": "m/s",
+        "_j_kgk": "J/kgK",
+        "_per_s": "1/s",
+        "_per_k": "1/K",
+        "_ms2": "m/s2",
+        "_s_h": "s/h",
+        "_ws_mk": "Ws/mK",
+    }
+    ends = sorted(units, key=len, reverse=True)
+    for name in effect_numbers().values():
+        for p in effect_class(name).own_parameters:
+            end = next((one for one in ends if p.name.endswith(one)), "")
+            assert (name, p.name, p.unit) == (
+                name,
+                p.name,
+                units.get(end, "1"),
+            )

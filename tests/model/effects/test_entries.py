@@ -133,6 +133,8 @@ def test_contact_evens_the_temperatures_in_a_long_drag(corner: Make) -> None:
 
 def test_friction_falls_with_the_heat_taken_up(corner: Make) -> None:
     """Heat of a run: E0-weighted closed form; the third run is flat."""
+    there = corner("friction_history").drive(0.25, 20e3)
+    assert there.ledger().generated == pytest.approx(5e3, rel=1e-3)
     there = corner("friction_history")
     power, energies, before = 20e3, [], 0.0
     for _ in range(3):
@@ -193,6 +195,23 @@ def test_no_pyrolysis_below_its_onset(corner: Make) -> None:
     there = corner("pad_pyrolysis").drive(900, 6e3)
     assert 450.0 < there["pad_front"] < 613.0
     assert there["pyrolysis"] == 0.0
+
+
+def test_pyrolysis_sets_in_over_60_k(corner: Make) -> None:
+    """Half its rate at 370 degC, none 30 K below, all of it 30 K above."""
+    net = corner("pad_pyrolysis").program.network
+    (memory,) = net.memories
+    onset = memory.factors[0].table
+    assert onset is not None
+    for above_k, share in ((-30.0, 0.0), (15.0, 0.75), (30.0, 1.0)):
+        at_k = 370.0 + 273.15 + above_k
+        assert onset(at_k) == pytest.approx(share, abs=1e-9)
+
+
+def test_a_split_that_is_as_good_as_none_is_none(corner: Make) -> None:
+    there = corner("caliper_fluid_split", strength=1e-7)
+
+    assert there.program == corner(None).program
 
 
 def test_shim_is_loose_only_when_released(corner: Make) -> None:

@@ -21,11 +21,13 @@ from bstm_daemon.model.effects.catalogue import (
 )
 from bstm_daemon.model.effects.model import (
     Correction,
+    InputModel,
     corrected,
     corrections_by_role,
 )
+from bstm_daemon.model.effects.tables import sensors_of
 from bstm_daemon.native.loader import VARIABLE
-from bstm_daemon.roles import ROLE_INDEX
+from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -329,6 +331,18 @@ def test_share_moves_between_the_axles(car: Callable[..., Config]) -> None:
             assert sum(moved) == pytest.approx(sum(base), rel=1e-12)
 
 
+def test_a_share_that_is_all_or_nothing_stays(
+    car: Callable[..., Config],
+) -> None:
+    """A car that brakes with one axle, and what has no strength."""
+    share = effect_class("brake_share")
+    for front in (0.01, 0.99):
+        inputs = InputModel(car("ff")).with_vehicle(front_share=front)
+        assert share({}).apply_to_inputs(inputs, None) is inputs
+    inputs = InputModel(car("ff"))
+    assert share({"strength": 0.0}).apply_to_inputs(inputs, None) is inputs
+
+
 def test_torque_reading_is_undone(car: Callable[..., Config]) -> None:
     """Read = 0.92 T + 12 Nm: the engine drags more than it says."""
     base = power(car("fb"))
@@ -354,6 +368,7 @@ def test_corrections_of_a_role_follow_each_other() -> None:
     assert list(values) == [3.0, 3.0]
     whole = corrected(rules, np.array([speed, torque]), np.array(values))
     assert whole.tolist() == [70.5, 3.0]
+    assert whole.dtype == float
 
 
 def test_offset_is_taken_off_the_thermocouple(
@@ -409,6 +424,10 @@ def test_one_sensor_errs_alone(car: Callable[..., Config]) -> None:
     high = edited_inputs(car("ff", "thermocouple_offset", sensor=5.0))
 
     assert (shown("disc"), shown("fluid")) == ("disc_sensor", "fluid")
+    for name in ("thermocouple_lag", "thermocouple_offset"):
+        assert [sensors_of(f["sensor"]) for f in effect_class(name).forms] == [
+            (node,) for node in MEASURED_NODES if node != "disc_2"
+        ]
     assert {one.role for one in high.corrections} == {
         f"temp_{corner}_fluid" for corner in ("fl", "fr", "rl", "rr")
     }

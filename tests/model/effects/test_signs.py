@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import tanh
+from math import exp, tanh
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -197,6 +197,7 @@ def test_order_of_entries_does_not_matter(
     names = [
         *("local_air", "disc_hat", "disc_caliper_radiation"),
         *("caliper_fluid_split", "backplate_loss", "caliper_radiation"),
+        *("hub_conduction", "ambient_heat_soak"),
     ]
     ends = []
     for order in (names, names[::-1]):
@@ -208,6 +209,33 @@ def test_order_of_entries_does_not_matter(
     assert ends[0]["backplate_loss"] == ("backplate", "air")
     assert ends[0]["disc_caliper_radiation"] == ("disc", "caliper")
     assert ends[0]["fluid_static"] == ("caliper", "air")
+
+
+def test_disc_radiates_to_what_the_caliper_shows_it(corner: Make) -> None:
+    """32 cm2 of it, with the disc's emissivity."""
+    there = corner("disc_caliper_radiation", thermal={"disc_emissivity": 0.3})
+    there.warm(disc=900.0)
+
+    found = flow_w(there, "disc_caliper_radiation", speed_ms=0.0)
+
+    seen = 3.2e-3 * 0.3 * STEFAN_BOLTZMANN_W_M2K4
+    expected = seen * (900.0**4 - AMBIENT_K**4)
+    assert found == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("speed_ms", "w_m2k"), [(0.0, 5.0), (20.0, 75.0), (130.0, 425.0)]
+)
+def test_wind_cools_the_hat(
+    corner: Make, speed_ms: float, w_m2k: float
+) -> None:
+    """5 W/m2K at rest and 3.5 more for each m/s, up to 120 m/s."""
+    there = corner("disc_hat").warm(hat=500.0)
+
+    found = flow_w(there, "hat_convection", speed_ms=speed_ms)
+
+    expected = 0.06 * w_m2k * (500.0 - AMBIENT_K)
+    assert found == pytest.approx(expected, rel=5e-3)
 
 
 def test_hub_gives_back_late(corner: Make) -> None:
@@ -241,6 +269,10 @@ def test_worn_pads_are_thinner(corner: Make) -> None:
         assert ratio == pytest.approx(left)
     slab = [net.link("pad_1-pad_2").conductance_w_k for net in nets]
     assert slab[1] / slab[0] == pytest.approx(1.0 / left)
+    worn = corner("pad_wear", strength=5.0).program.network
+    assert worn.link("pad_1-pad_2").conductance_w_k == pytest.approx(
+        11.0 * slab[0]  # 1 mm is left of it at least
+    )
     shim = [net.link("shim").conductance_w_k for net in nets]
     assert shim[1] == shim[0]
 
@@ -266,6 +298,37 @@ def test_linings_share_goes_with_their_effusivity(
     assert pads / there.ledger().generated == pytest.approx(expected, rel=2e-3)
     assert sources[f"{name}_pads"] == -sources[f"{name}_disc"]
     assert there.ledger().generated == pytest.approx(2e3 * 0.25)
+
+
+@pytest.mark.parametrize("wanted", [0.5, 5.0])
+def test_a_linings_conductivity_stays_above_0(
+    corner: Make, wanted: float
+) -> None:
+    """22 % each way and up to five times that; a fifth is left at least."""
+    net = corner("pad_conductivity", strength=wanted).program.network
+    (factor,) = net.link("pad_1-pad_2").factors
+    assert factor.table is not None
+    low, middle, high = factor.table.values
+    assert low == pytest.approx(max(1.0 - 0.22 * wanted, 0.2))
+    assert (middle, high) == (1.0, pytest.approx(1.0 + 0.22 * wanted))
+
+
+def test_a_disc_that_takes_more_leaves_the_linings_less(
+    corner: Make,
+) -> None:
+    """Eq 2.3 of a disc with another cp: its effusivity, not the linings'."""
+    there = corner("disc_capacity_hot")
+    centre_k = 755.0 + 273.15
+    there.warm(**dict.fromkeys(there.nodes(), centre_k)).drive(0.25, 2e3)
+    cp = corner(None).program.network.node("disc").capacity_table
+    assert cp is not None
+    share = 1.0 - there.spec.disc_share
+    ratio = (1.0 + 380.0 / cp(centre_k)) ** -0.5
+    sources = there.ledger().sources
+    left = 1.0 + sources["disc_capacity_hot_pads"] / sources["pad_heat"]
+    assert left == pytest.approx(
+        ratio / (1.0 - share + share * ratio), rel=5e-3
+    )
 
 
 def test_pumping_cools_the_fluid(corner: Make) -> None:
@@ -388,6 +451,13 @@ def test_friction_rises_with_the_seconds_of_a_stop(corner: Make) -> None:
             risen = 9.0 - 3.0 * (1.0 - 2.71828**-3.0)
             expected = 10e3 * (9.0 + strength * 0.15 * risen)
             assert taken == pytest.approx(expected, rel=5e-3)
+            held = there["stop_length"]
+            assert held == pytest.approx(1.0 - exp(-3.0), rel=2e-3)
+            there.drive(2.0)
+            assert there["stop_length"] == pytest.approx(
+                held * exp(-1.0), rel=5e-3
+            )
             there.drive(20.0)
     measured = corner("friction_in_stop", from_pressure=False).drive(9.0, 1e4)
     assert measured.nodes() == corner(None).drive(9.0, 1e4).nodes()
+    assert "stop_length" not in measured.program.state_names

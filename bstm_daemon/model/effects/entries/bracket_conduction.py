@@ -21,7 +21,7 @@ class BracketConduction(Effect):
         "Pad back, at any time, most with the brake held, with its excess "
         "over the bracket; no speed."
     )
-    twins = ("backplate_loss", "caliper_bypass")
+    twins = ("caliper_bypass",)
     own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.02, 5.0, 0.4, "all four ears"),
         Parameter("pressed_rise", "1", 0.0, 3.0, 0.5, "of it, brake held"),

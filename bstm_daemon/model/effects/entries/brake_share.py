@@ -22,7 +22,7 @@ class BrakeShare(Effect):
         "All heat, front and rear in opposite ways, braking; the force of "
         "the whole car agrees."
     )
-    twins = ("mass_error", "accelerometer_bias", "powertrain_torque_error")
+    twins = ("powertrain_torque_error",)
     either_sign = True
     own_parameters = (
         Parameter("share", "1", 0.0, 0.5, 0.1, "added to the front's share"),

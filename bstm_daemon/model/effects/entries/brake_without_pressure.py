@@ -23,7 +23,7 @@ class BrakeWithoutPressure(Effect):
         "All heat, braked by more than its resistance without pressure; by "
         "the motion only."
     )
-    twins = ("residual_drag", "powertrain_torque_error", "mass_error")
+    twins = ("powertrain_torque_error", "mass_error")
 
     def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Let the pass over samples count what the motion shows."""

@@ -18,7 +18,7 @@ class CaliperBypass(Effect):
         "Edge pad back to fluid (to the caliper where that is apart), with "
         "their temperature difference."
     )
-    twins = ("shim_contact", "backplate_loss")
+    twins = ("shim_contact",)
     own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.02, 5.0, 0.5, "both plates"),
     )

@@ -22,7 +22,6 @@ class ConvectionExponent(Effect):
         "Disc, driving: too hot above and too cold below one speed, with "
         "the excess over the air."
     )
-    twins = ("disc_radiation_driving", "residual_drag")
     either_sign = True
     own_parameters = (
         Parameter("exponent", "1", 0.0, 0.5, 0.18, "in addition to S"),

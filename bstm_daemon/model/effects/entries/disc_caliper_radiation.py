@@ -16,7 +16,6 @@ class DiscCaliperRadiation(Effect):
     number = 26
     description = "The disc's glow heats the caliper directly."
     signature = "Edge disc to fluid, with T^4 of the disc, parked strongest."
-    twins = ("local_air",)
     most_strength = 10.0  # all of a large caliper's inside sees the disc
     own_parameters = (
         Parameter("view_m2", "m2", 1e-4, 0.05, 3.2e-3, "that sees the disc"),

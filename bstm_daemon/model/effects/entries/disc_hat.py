@@ -21,7 +21,6 @@ class DiscHat(Effect):
     signature = (
         "Disc, after brakings begin and end, minutes; then like a steady loss."
     )
-    twins = ("hub_conduction",)
     own_parameters = (
         Parameter("conductance_w_k", "W/K", 0.2, 30.0, 5.0, "ring to hat"),
         Parameter("mass_kg", "kg", 0.5, 8.0, 2.4, "of the hat"),

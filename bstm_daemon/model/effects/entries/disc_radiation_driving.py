@@ -17,7 +17,7 @@ class DiscRadiationDriving(Effect):
     number = 11
     description = "A hot disc also radiates while the car drives."
     signature = "Disc, driving, with T^4 and not with speed."
-    twins = ("friction_fade", "convection_exponent")
+    twins = ("convection_exponent",)
     own_parameters = (
         Parameter(
             "view_share",

@@ -21,7 +21,6 @@ class FluidExchange(Effect):
     number = 29
     description = "Pumping the pedal exchanges hot fluid for cold."
     signature = "Fluid, with the rate of the pressure: pulses, anti-lock."
-    twins = ("caliper_fluid_split", "caliper_radiation")
     own_parameters = (
         Parameter("line_w_k", "W/K", 0.0, 1.0, 0.05, "along the line"),
         Parameter(

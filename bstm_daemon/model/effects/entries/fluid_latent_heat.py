@@ -23,7 +23,6 @@ class FluidLatentHeat(Effect):
     number = 30
     description = "Boiling brake fluid absorbs heat without getting hotter."
     signature = "Fluid, a plateau above 130 degC, parked, in wet fluid."
-    twins = ("caliper_radiation",)
     own_parameters = (
         Parameter("heat_j", "J", 100.0, 1e5, 8e3, "absorbed in total"),
         Parameter(

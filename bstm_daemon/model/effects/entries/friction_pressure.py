@@ -18,7 +18,7 @@ class FrictionPressure(Effect):
     kind = "heat"
     description = "Friction falls with pressure."
     signature = "All heat, braking only, with pressure."
-    twins = ("friction_speed", "pushout_pressure")
+    twins = ("pushout_pressure",)
     either_sign = True
     own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.05, "1 - a, with pressure"),

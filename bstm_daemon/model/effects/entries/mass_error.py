@@ -16,7 +16,7 @@ class MassError(Effect):
     kind = "heat"
     description = "The car is heavier than configured."
     signature = "All heat, braking, most in stops from speed."
-    twins = ("accelerometer_bias", "powertrain_torque_error", "brake_share")
+    twins = ("powertrain_torque_error", "brake_share")
     either_sign = True
     own_parameters = (
         Parameter("share", "1", 0.0, 0.6, 0.06, "of the configured mass"),

@@ -26,7 +26,7 @@ class PadCapacity(Effect):
         "Pad front and pad back, with their change of temperature, with the "
         "lining's temperature."
     )
-    twins = ("pad_conductivity", "pad_pyrolysis")
+    twins = ("pad_pyrolysis",)
     either_sign = True
     own_parameters = (
         Parameter("rise_per_k", "1/K", 0.0, 3e-3, 9e-4, "of cp, cold = 1"),

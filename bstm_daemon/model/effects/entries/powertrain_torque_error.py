@@ -18,7 +18,6 @@ class PowertrainTorqueError(Effect):
         "All heat, braking with the clutch closed, with the engine's drag "
         "and speed."
     )
-    twins = ("accelerometer_bias", "mass_error", "brake_share")
     either_sign = True
     own_parameters = (
         Parameter("share", "1", 0.0, 0.18, 0.08, "of the torque, missing"),

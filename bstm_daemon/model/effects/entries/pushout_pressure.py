@@ -17,7 +17,7 @@ class PushoutPressure(Effect):
     signature = (
         "All heat, braking at low pressure, a constant loss of pressure."
     )
-    twins = ("friction_pressure", "friction_history")
+    twins = ("friction_history",)
     own_parameters = (Parameter("pressure_pa", "Pa", 0.0, 5e5, 1e5, "lost"),)
 
     def edit_corner_inputs(

@@ -25,7 +25,7 @@ class ThermocoupleLag(Effect):
     kind = "measurement"
     description = "Thermocouples show what the part had seconds ago."
     signature = "One sensor, with its rate of change."
-    twins = ("thermocouple_offset", "disc_hat")
+    twins = ("disc_hat",)
     own_parameters = (
         Parameter("time_s", "s", 0.1, 120.0, 15.0, "time constant"),
         SENSOR,
