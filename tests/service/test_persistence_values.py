@@ -101,6 +101,28 @@ def test_a_wall_clock_before_2025_is_not_set(
     one.persistence._lock.close()
 
 
+def test_when_the_state_is_saved(
+    box: Box, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every 10 s while a node changes; at rest after another 300 s."""
+    engine = box.engine()
+    engine.config.state.interval_s = 10.0
+    engine.config.state.idle_interval_s = 300.0
+    engine.export_state = lambda: {"time_us": None}
+    saved: list[float] = []
+    monkeypatch.setattr(
+        box.persistence._writer,
+        "submit",
+        lambda _, now_us: saved.append(now_us / SECOND),
+    )
+
+    for second in range(700):
+        box.nodes_k[1] += 0.5 if second < 100 else 0.0
+        box.persistence.poll(engine, second * SECOND)
+
+    assert saved == [*range(0, 101, 10), 400]
+
+
 def test_each_further_failure_is_logged_once(
     box: Box, monkeypatch: pytest.MonkeyPatch
 ) -> None:
