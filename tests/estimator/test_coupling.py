@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from hashlib import sha256
 from math import exp
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -94,6 +95,22 @@ def car(make_car: Any, make_corner: Callable[..., Any]) -> Config:
     """Return a car with two brakes."""
     config: Config = make_car(make_corner("FL"), make_corner("FR"))
     return config
+
+
+def test_the_interface_is_the_mean_of_disc_and_face(car: Config) -> None:
+    """As the friction law takes it after a restart, each corner its own."""
+    brakes, laws = Brakes(car, FADE), {}
+    (batch, _) = brakes.batches[0]
+    for corner in range(2):
+        first = corner * batch.width
+        for node, kelvin in (("disc", 700.0), ("pad_front", 500.0)):
+            place = first + batch.names.index(node)
+            batch.state[place] = kelvin + 10.0 * corner
+    taken: Any = SimpleNamespace(heat_interface=laws.__setitem__)
+
+    brakes.coupling.heat_interfaces(taken, brakes.batches)
+
+    assert laws == {0: 600.0, 1: 610.0}
 
 
 def test_pieces_change_no_bit(car: Config) -> None:

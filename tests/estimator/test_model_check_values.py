@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.model_check import Couple, ModelCheck
 from bstm_daemon.roles import ROLE_INDEX
@@ -266,6 +267,17 @@ def test_the_usual_accuracy_of_each_node(car: Callable[..., Config]) -> None:
         "FR pad_back": ("pad_back", 5.0, 0.05),
         "FL fluid": ("fluid", 3.0, 0.05),
     }
+
+
+def test_a_caliper_of_its_own_is_as_accurate_as_the_fluid(
+    car: Callable[..., Config],
+) -> None:
+    split = EffectConfig(name="caliper_fluid_split")
+    config = car(effect=[split])
+
+    (one,) = couples(config, "temp_fr_caliper")
+
+    assert (one.shown_node, one.floor_k, one.share) == ("caliper", 3.0, 0.05)
 
 
 def test_accuracy_that_is_configured(car: Callable[..., Config]) -> None:

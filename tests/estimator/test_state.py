@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from array import array
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,6 +16,7 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.memory import StateError
 from bstm_daemon.estimator.state import (
+    _completed,
     correct_parked,
     export_state,
     keep_input_history,
@@ -24,6 +26,7 @@ from bstm_daemon.estimator.state import (
 )
 from bstm_daemon.estimator.validity import HIGHEST_K, LOWEST_K
 from bstm_daemon.model.heat.sample_pass import TICK
+from bstm_daemon.model.thermal.network import Link, Network, Node
 from bstm_daemon.model.wear.dose import DOSE
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -196,6 +199,21 @@ def test_a_new_node_starts_between_its_neighbours(config: Config) -> None:
         assert min(ends) <= new[node] <= max(ends)
 
 
+def test_a_node_without_a_neighbour_that_is_known_waits_for_one() -> None:
+    """The mean of those beside it, at either end of a link."""
+    nodes = tuple(Node(name, 1.0) for name in "abcd")
+    links = tuple(
+        Link(f"{a}{b}", a, b, 1.0) for a, b in ("ab", "cb", "dc", "da")
+    )
+    net = Network((), nodes, links)
+
+    found = _completed(net, {"a": 400.0, "c": 300.0})
+    chain = _completed(replace(net, links=links[1:]), {"c": 300.0})
+
+    assert found == {"a": 400.0, "b": 350.0, "c": 300.0, "d": 350.0}
+    assert chain == dict.fromkeys("abcd", 300.0)
+
+
 def test_another_layout_of_samples_is_not_resumed(config: Config) -> None:
     document = export_state(hot_car(config))
     document["samples"]["layout"] = "of another version"
@@ -280,11 +298,13 @@ def test_impossibles_begin_anew(config: Config) -> None:
     estimator = hot_car(config)
     document = export_state(estimator)
     fresh = copy_of(estimator, document)
-    fresh.batches[0][0].state[0] = float("nan")
+    corners = fresh.layout.corners
+    for batch, member, _ in fresh.members():
+        batch.state[batch.part(member).start] = float("nan")
 
     feed(fresh, braking(1.0, 61 * SECOND, 1e6))
 
-    assert fresh.resets == 1
+    assert fresh.resets == len(corners) > 1
     assert not fresh.history_known
     nodes = nodes_k(fresh).values()
     assert all(LOWEST_K < kelvin < HIGHEST_K for kelvin in nodes)

@@ -126,11 +126,33 @@ def test_parking_is_time_that_passes() -> None:
     )
 
 
+def test_what_was_found_is_paid_back_parked_as_it_is_driving() -> None:
+    """20 s found, of which five minutes pay back ten."""
+    trust = trust_of()
+    held(trust, [True] * 200)
+    trust.park(10.0 * MEMORY)
+    held(trust, [True] * 20)
+    after = held(trust, [False] * 7000)
+    assert sum(after) * STEP_S == pytest.approx(MEMORY * 12.0, abs=0.2)
+
+
 def test_it_goes_on_after_a_restart() -> None:
     first, second = trust_of(), trust_of()
     held(first, [True] * 200)
     second.restore(first.export())
     assert held(second, [False] * 7000) == held(first, [False] * 7000)
+
+
+def test_a_corner_that_a_file_does_not_know_was_not_found() -> None:
+    first, second = trust_of(), trust_of()
+    held(first, [True] * 200)
+    saved = first.export()
+    for memory in saved.values():
+        if isinstance(memory, dict):
+            memory.pop("RL")
+    second.restore(saved)
+    assert second.holds("FL", STEP_S, found=False)
+    assert not second.holds("RL", STEP_S, found=False)
 
 
 def test_a_bad_memory_is_refused() -> None:

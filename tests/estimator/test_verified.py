@@ -16,12 +16,13 @@ from bstm_daemon.estimator.verified import (
     THERMOCOUPLES,
     unverified_inputs,
     unverified_of_car,
+    verification_table,
     verified_by,
 )
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from bstm_daemon.config.sections import Config, CornerConfig
 
@@ -67,6 +68,49 @@ def shipped(name: str) -> Input:
 
 def test_of_the_example_car_nothing_is_unverified() -> None:
     assert shipped("example_vehicle.toml") == NO_INPUT
+
+
+def test_what_verifies_each_input_is_told_in_words() -> None:
+    """A row for each input, its corners, and every check that it has."""
+    rows = {}
+    for name in ("example_vehicle", "subaru_wrx_sti", "toyota_rav4"):
+        config, _ = load_vehicle(CONFIGS / f"{name}.toml")
+        rows[name] = verification_table(config, config.signals)
+
+    nothing = "nothing: unverified, its corners are degraded"
+    speed = "speed", "other speeds and acceleration"
+    assert {
+        name: [(words, by) for words, _, by in found]
+        for name, found in rows.items()
+    } == {
+        "example_vehicle": [
+            speed,
+            ("pressure", "motion and torque"),
+            ("acceleration", "changes of speed"),
+            ("torque", "pressure and motion"),
+        ],
+        "subaru_wrx_sti": [speed, ("pressure", nothing)],
+        "toyota_rav4": [speed, ("acceleration", nothing)],
+    }
+    corners = {where for found in rows.values() for _, where, _ in found}
+    assert corners == {"FL FR RL RR"}
+
+
+def test_feed_back_is_verified_by_the_pressure(
+    car: Callable[..., Config],
+) -> None:
+    """Each of its two motions needs the other one beside it."""
+    config = car("fb")
+
+    def verified(roles: Iterable[str]) -> list[tuple[str, ...]]:
+        found = verified_by(config, [*roles], "FL")
+        return [
+            found.get(one, ()) for one in (Input.ACCELERATION, Input.TORQUE)
+        ]
+
+    assert verified(THESIS) == [("pressure",), ("pressure",)]
+    for missing in ("primary_pressure", *MOTION):
+        assert verified({*THESIS} - {missing}) == [(), ()]
 
 
 def test_the_cars_of_the_recordings_are_unverified() -> None:
