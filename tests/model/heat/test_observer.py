@@ -14,6 +14,7 @@ from bstm_daemon.model.heat.memory import ObserverMemory, SampleState
 from bstm_daemon.model.heat.observer_faults import (
     compare_forces,
     count_drive,
+    is_outlier,
     unbalanced,
 )
 from bstm_daemon.model.heat.observer_rules import P0_STD
@@ -633,6 +634,32 @@ def test_windows_in_which_a_drive_moves_the_car_too_little(
     m.held_back_s = 4.0
     count_drive(m, innovation, 0.06, drive)
     assert m.held_back_s == found_s
+
+
+@pytest.mark.parametrize(
+    ("innovation", "outlier_s"),
+    [
+        (0.24, 3.5),  # within four deviations
+        (-0.24, 3.5),
+        (0.40, 4.0),
+        (0.41, 4.5),
+        (-0.55, 4.0),
+        (-0.57, 4.5),
+    ],
+)
+def test_friction_that_is_not_to_be_learned(
+    innovation: float, outlier_s: float
+) -> None:
+    """What a fading brake or a wet one explains does not contradict."""
+    m = zeros(ObserverMemory)
+    m.outlier_s = 4.0
+    is_small = abs(innovation) < 0.25
+    std = 0.25 / 4.0 if is_small else 0.01
+    assert is_outlier(m, innovation, std) is not is_small
+    assert m.outlier_s == outlier_s
+    m.outlier_s = 10.0
+    is_outlier(m, innovation, std)
+    assert m.outlier_s <= 10.0
 
 
 def line(

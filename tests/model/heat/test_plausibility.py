@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,7 +21,8 @@ from bstm_daemon.channels import (
     WHEEL_SUSPECT,
 )
 from bstm_daemon.model.heat.check_rules import Hysteresis
-from bstm_daemon.model.heat.memory import SampleState
+from bstm_daemon.model.heat.memory import CheckMemory, SampleState
+from bstm_daemon.model.heat.motion_checks import compare_turns
 from bstm_daemon.model.heat.plausibility import (
     FAULTS,
     SUSPECT,
@@ -28,6 +30,7 @@ from bstm_daemon.model.heat.plausibility import (
     fault_names,
     reasons,
 )
+from bstm_daemon.native.layout import zeros
 from bstm_daemon.native.loader import load_module
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -1484,3 +1487,41 @@ def test_hysteresis() -> None:
     for _ in range(6):
         fault_s = check.advance(fault_s, 0.5, failed=False)
     assert fault_s == 0.0
+
+
+def test_each_reason_has_words_of_its_own() -> None:
+    assert all(len(words) > 5 for words in WORDS.values())
+    assert len(set(WORDS.values())) == len(WORDS)
+
+
+@pytest.mark.parametrize(
+    ("turn_ms2", "speed_ms", "counts"),
+    [
+        (0.9, 20.0, False),
+        (-1.1, 20.0, True),
+        (3.0, 4.9, False),
+        (3.0, 5.1, True),
+    ],
+)
+def test_a_bend_counts_above_its_speed_and_acceleration(
+    turn_ms2: float, speed_ms: float, *, counts: bool
+) -> None:
+    """From 1 m/s2 and 5 m/s on; what is kept is of the last 30 m2/s3."""
+    m = zeros(CheckMemory)
+    now: Any = SimpleNamespace(
+        speed=speed_ms,
+        yaw_rate=turn_ms2 / speed_ms,
+        dt_s=0.1,
+        lateral=1.5 * turn_ms2,
+        intervenes=False,
+    )
+
+    compare_turns(m, now)
+
+    square = 0.1 * turn_ms2 * turn_ms2 if counts else 0.0
+    assert m.turn_square == pytest.approx(square)
+    assert m.turn_lateral == pytest.approx(1.5 * square)
+    assert m.lateral_square == pytest.approx(2.25 * square)
+    for _ in range(4000):
+        compare_turns(m, now)
+    assert m.turn_square == pytest.approx(30.0 if counts else 0.0)
