@@ -10,6 +10,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bstm_daemon.bus.output.publication import Publication
+from bstm_daemon.channels import (
+    CORNER_PRESSURE_SUSPECT,
+    FLAGS,
+    WHEEL_SUSPECT,
+)
 from bstm_daemon.estimate import (
     NO_REASON,
     REASON_WORDS,
@@ -19,7 +24,7 @@ from bstm_daemon.estimate import (
     Validity,
 )
 from bstm_daemon.estimator.estimator import Estimator
-from bstm_daemon.estimator.validity import _is_possible
+from bstm_daemon.estimator.validity import _is_possible, _remembered
 from bstm_daemon.model.heat.sample_pass import TICK
 from bstm_daemon.roles import ROLE_INDEX
 
@@ -295,6 +300,42 @@ def test_what_nothing_proved_is_unverified_and_remembered(
         assert (Reason.UNVERIFIED in why[95]) is unproven
         assert (Reason.UNVERIFIED in why[-1]) is unproven
         assert Reason.UNVERIFIED not in why[5]
+
+
+@pytest.mark.parametrize(
+    ("mode", "own", "besides"),
+    [
+        ("ff", WHEEL_SUSPECT | CORNER_PRESSURE_SUSPECT, set()),
+        ("fb", 0, {"acceleration_suspect"}),
+        (
+            "fused",
+            WHEEL_SUSPECT,
+            {"acceleration_suspect", "acceleration_scale", "wheel_radius"}
+            | {"pressure_dead"},
+        ),
+        (
+            "measured",
+            WHEEL_SUSPECT | CORNER_PRESSURE_SUSPECT,
+            {"temperature_suspect"},
+        ),
+    ],
+)
+def test_findings_that_are_remembered_are_those_of_what_the_heat_is_from(
+    front: Callable[..., Config], mode: str, own: int, besides: set[str]
+) -> None:
+    """Of this corner's wheel and pressure, and of what is mapped."""
+    roles = "primary_pressure", "acceleration_longitudinal"
+    present = dict.fromkeys((ROLE_INDEX[role] for role in roles), 0)
+    config = front(heat={"mode": mode})
+
+    found = _remembered(config, present, 2)
+
+    always = {"speed_suspect", "pressure_contradicts", "ambient_suspect"}
+    assert found == (own << 2) | sum(FLAGS[n] for n in always | besides)
+    if mode == "fb":
+        without = _remembered(config, {}, 2)
+        expected = sum(FLAGS[n] for n in {*always, "switch_contradicts"})
+        assert without == expected
 
 
 def test_a_disc_too_hot_for_the_model_is_unverified_and_remembered(
