@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bstm_daemon.native.loader import load_kernel
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -34,12 +32,6 @@ MASS_KG = 2194.0
 ROTATING_KG = 3.0809 / 0.3418**2
 PER_PA = 2.0 * 2.83e-3 * 0.38 * 0.13 / 0.3418  # N/Pa of a corner
 ROLLING = 0.014 * 9.80665
-
-
-@pytest.fixture
-def kernel() -> Kernel | None:
-    """Return the form that is there; others compare both."""
-    return load_kernel()
 
 
 @pytest.fixture
