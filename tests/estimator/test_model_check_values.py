@@ -280,6 +280,27 @@ def test_a_caliper_of_its_own_is_as_accurate_as_the_fluid(
     assert (one.shown_node, one.floor_k, one.share) == ("caliper", 3.0, 0.05)
 
 
+def test_couples_go_on_within_a_drive_and_findings_after_it(
+    car: Callable[..., Config],
+) -> None:
+    roles = [ROLE_INDEX["temp_fl_disc"]]
+    first = check_of(car(), roles)
+    first.couples[0].take(100.0, 0.0, 200.0)
+    assert first.holds("FL", 50.0, found=True)
+    document = {"model_check": first.export()}
+
+    def resumed(parked_s: float | None) -> tuple[float, bool]:
+        check = check_of(car(), roles)
+        check.resume(document, parked_s)
+        return check.couples[0].known_s, check.holds("FL", 1.0, found=False)
+
+    assert resumed(None) == (200.0, True)
+    assert resumed(0.0) == (0.0, True)
+    # 50 s are remembered for 30 times as long
+    assert resumed(1490.0) == (0.0, True)
+    assert resumed(1510.0) == (0.0, False)
+
+
 def test_accuracy_that_is_configured(car: Callable[..., Config]) -> None:
     """The thermocouple's own error comes on top, in quadrature."""
     accuracy = {

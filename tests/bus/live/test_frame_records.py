@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from array import array
 from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -359,6 +360,8 @@ def test_only_ready_records_are_decoded(live: BusExtension) -> None:
         (6, b"\0" * 8),
         (7, b"\0" * 8),
         (8, (None,)),
+        (6, array("q", bytes(1 << 17))),
+        (7, array("f", bytes(1 << 17))),
     ],
 )
 def test_the_compiled_pass_refuses_what_would_lead_outside(
@@ -380,6 +383,26 @@ def test_the_compiled_pass_refuses_what_would_lead_outside(
 
     with pytest.raises(ValueError, match=r"plan|record|column|items|role"):
         live.take(*bad)
+    store.append(0)  # which would fail, were it held
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(0, 9), max_size=80), st.integers(-1, 10))
+def test_records_are_put_in_order_as_sorted_does(
+    live: BusExtension, times: list[int], until_us: int
+) -> None:
+    """Those of one time stay in the order in which they came."""
+    frames = [Received(t, 0, n, False, b"") for n, t in enumerate(times)]
+    records = records_of(live, frames)
+
+    records.sort(until_us)
+
+    found = [records.at(n) for n in range(len(frames))]
+    assert [(time_us, frame.can_id) for time_us, _, frame in found] == [
+        (one.time_us, one.can_id)
+        for one in sorted(frames, key=lambda one: one.time_us)
+    ]
+    assert records.ready == sum(t <= until_us for t in times)
 
 
 def test_the_reference_form_has_none(monkeypatch: pytest.MonkeyPatch) -> None:

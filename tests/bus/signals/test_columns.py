@@ -1,6 +1,7 @@
 """Columns against the live decoder: values, order and counts."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -407,6 +408,24 @@ def test_the_compiled_pass_refuses_what_would_lead_outside(
         ValueError, match=r"plan|place|column|sign|items|chann|mess"
     ):
         extracted(compiled, **change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{}, {"plan": ()}, {"samples": -1}, {"roles": np.zeros(1, np.int64)}],
+)
+def test_nothing_is_held_after_the_compiled_pass(
+    change: dict[str, Any],
+) -> None:
+    compiled = extension()
+    if compiled is None:
+        pytest.skip("the compiled pass is not installed")
+    data = bytearray(8)
+
+    with suppress(ValueError):
+        extracted(compiled, data=data, **change)
+
+    data.append(0)  # which would fail, were it held
 
 
 def test_an_unknown_message_of_the_plan_gives_no_sample() -> None:
