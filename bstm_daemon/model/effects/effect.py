@@ -25,7 +25,7 @@ class Effect:
 
     Subclasses give the ``number`` of the catalogue, the ``kind`` of what is
     edited, a ``description`` in plain words, the ``signature`` by which data
-    show it, the names of the effects it is a twin of, their own parameters in
+    show it, its ``twins`` (one of a pair names the other), their parameters in
     ``own_parameters``, and at least one of :meth:`edit_network`,
     :meth:`edit`, :meth:`edit_inputs` and :meth:`edit_corner_inputs`. At
     strength 0 none is called. The ``name`` is that of their file.

@@ -120,8 +120,4 @@ def test_units_are_those_that_names_end_with() -> None:
     for name in effect_numbers().values():
         for p in effect_class(name).own_parameters:
             end = next((one for one in ends if p.name.endswith(one)), "")
-            assert (name, p.name, p.unit) == (
-                name,
-                p.name,
-                units.get(end, "1"),
-            )
+            assert p.unit == units.get(end, "1"), f"{name}: {p.name}"
