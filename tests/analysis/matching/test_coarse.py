@@ -11,12 +11,19 @@ import pytest
 from bstm_daemon.analysis.matching.coarse import (
     CAPACITY,
     CAR_MASS,
+    COHERENT,
+    DRAG_FACTORS,
     FILTER,
+    FILTERS_S,
+    NEAR_FACTORS,
     Reading,
+    check_mass,
     driven_keys,
     guesses_of,
+    read_as_guessed,
     search,
 )
+from bstm_daemon.analysis.matching.drives import Thermocouple
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
 from bstm_daemon.analysis.matching.tunables import (
@@ -28,14 +35,17 @@ from bstm_daemon.analysis.matching.tunables import (
     REFINED,
     Target,
 )
+from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.channels import CHANNELS
+from bstm_daemon.errors import UsageError
 from bstm_daemon.report.match import headline
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from bstm_daemon.analysis.matching.drives import Drive
+    from bstm_daemon.config.sections import Config
 
 PROFILE: Final = (
     (20.0, 0.0, 20.0),
@@ -74,10 +84,17 @@ def guessing(target: Target) -> Target:
 def test_mass_cooling_and_drag_are_found_from_afar(
     guessing: Target, sparse: Drive
 ) -> None:
+    shown: list[float] = []
+
     (match,) = match_drives(
-        guessing.config, [Reading(None, [sparse])], guessed=GUESSED
+        guessing.config,
+        [Reading(None, [sparse])],
+        guessed=GUESSED,
+        progress=shown.append,
     )
 
+    assert shown == sorted(shown)
+    assert shown[-1] == 1.0
     after = match.after
     thermal = after.config.thermal_of(after.corner)
     assert thermal.disc_mass_correction_factor == pytest.approx(0.4, rel=0.05)
@@ -119,6 +136,25 @@ def test_the_share_of_time_beyond_the_cooling_table_is_said(
     assert why[-1].startswith("20 % of the time is faster than")
     assert "320 km/h" in why[-1]
 
+    # where the table is not matched, nobody asks
+    keys, why = driven_keys(
+        guessing, [replace(sparse, inputs=inputs, by_drag=None)], [MASS]
+    )
+    assert (keys, why) == ((MASS,), [])
+
+
+def test_a_second_thermocouple_of_a_disc_is_of_the_disc(
+    guessing: Target, sparse: Drive
+) -> None:
+    (disc,) = sparse.measured["FL"].values()
+    twice = {"FL": {"disc": disc, "disc_2": disc}}
+    fluid = {"FL": {"disc": disc, "fluid": disc}}
+
+    for measured, alone in ((twice, True), (fluid, False)):
+        drive = replace(sparse, measured=measured, by_drag=None)
+        keys, _ = driven_keys(guessing, [drive], ["thermal.disc_emissivity"])
+        assert (not keys) == alone
+
 
 def test_nothing_is_searched_where_nothing_is_guessed(
     target: Target, sparse: Drive
@@ -129,6 +165,125 @@ def test_nothing_is_searched_where_nothing_is_guessed(
 
     assert found.target is target
     assert not found.noise
+
+
+def test_what_the_search_leaves_is_noise_of_each_point(
+    guessing: Target, sparse: Drive
+) -> None:
+    """Also where a constant heat capacity is tried, and a filter beside."""
+    plain = replace(guessing, guessed=GUESSED | {CAPACITY})
+    disc = sparse.measured["FL"]["disc"]
+    wrong_k = disc.temperature_k + np.resize([40.0, -40.0], len(disc.time_s))
+    couple = Thermocouple(disc.time_s, wrong_k)
+    off = replace(sparse, measured={"FL": {"disc": couple}})
+    readings = [Reading(None, [off]), Reading(0.02, [sparse])]
+
+    found = search(plain, readings)
+
+    assert found.reading is readings[1]
+    heat = found.target.config.heat
+    assert heat.derivative_filter_s == 0.02
+    values = {key: found.target.setting(key) for key in (MASS, DRAG)}
+    assert values[MASS] == pytest.approx(0.4, rel=0.1)
+    (noise,) = found.noise.values()
+    left_k = noise.white_k / COHERENT
+    assert 0.3 < left_k < 8.0
+    assert noise == SensorNoise(noise.white_k, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_constant_heat_capacity_is_found(
+    guessing: Target, made: Callable[..., Drive]
+) -> None:
+    constant = guessing.with_disc(heat_capacity_exponent=0.0)
+    drive = made(
+        {MASS: 0.4},
+        profile=PROFILE,
+        nodes=("disc",),
+        noise_k=0.5,
+        target=constant,
+    )
+    guessed = frozenset({MASS, CAPACITY})
+
+    found = search(
+        replace(guessing, guessed=guessed), [Reading(None, [drive])]
+    )
+
+    assert found.target.corner.disc is not None
+    assert found.target.corner.disc.heat_capacity_exponent == 0.0
+    assert found.target.setting(MASS) == pytest.approx(0.4, rel=0.02)
+
+
+def with_motion_alone(config: Config) -> Config:
+    """Return a car whose heat comes from its motion, without a pressure."""
+    signals = {
+        role: one
+        for role, one in config.signals.items()
+        if "pressure" not in role
+    }
+    heat = config.heat.model_copy(update={"mode": "fb"})
+    return config.model_copy(update={"signals": signals, "heat": heat})
+
+
+def test_drives_are_read_with_each_drag_and_filter(
+    guessing: Target, sparse: Drive
+) -> None:
+    """The first as configured; the power of each area is its reading's."""
+    config = with_motion_alone(guessing.config)
+    place = CHANNELS.index("brake_power_w")
+    asked: list[tuple[float, float]] = []
+
+    def read(of: Config) -> Sequence[Drive]:
+        area_m2 = of.vehicle.drag_area_m2
+        asked.append((of.heat.derivative_filter_s, area_m2))
+        inputs = sparse.inputs.copy()
+        inputs[:, :, place] = area_m2
+        return [replace(sparse, inputs=inputs, by_drag=None)]
+
+    found = read_as_guessed(config, frozenset({DRAG, FILTER}), read)
+
+    configured = config.vehicle.drag_area_m2
+    areas = sorted({configured, *(f * configured for f in DRAG_FACTORS)})
+    filters = (config.heat.derivative_filter_s, *FILTERS_S)
+    assert sorted(asked) == sorted(
+        (filter_s, area) for filter_s in filters for area in areas
+    )
+    assert [one.filter_s for one in found] == [None, *FILTERS_S]
+    for reading in found:
+        (drive,) = reading.drives
+        assert drive.by_drag is not None
+        assert drive.by_drag.area_m2.tolist() == areas
+        assert drive.by_drag.power_w[:, 0, 0].tolist() == areas
+        assert drive.inputs[0, 0, place] == configured
+
+    asked.clear()
+    near = read_as_guessed(config, frozenset({DRAG}), read, [0.5, 0.9])
+    wanted = {one * of for one in NEAR_FACTORS for of in (0.5, 0.9)}
+    assert {area for _, area in asked} == wanted | {configured}
+    assert [one.filter_s for one in near] == [None]
+
+    asked.clear()
+    for of, guessed in (
+        (config, frozenset({FILTER})),
+        (guessing.config, frozenset({DRAG})),
+    ):
+        (plain,) = read_as_guessed(of, guessed, read)
+        assert plain.drives[0].by_drag is None
+    assert len(asked) == 2
+
+
+def test_a_car_that_nobody_weighed_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text("[vehicle]\nmass_kg = 1600.0  # kg, weighed\n")
+    check_mass(path)
+
+    path.write_text("[vehicle]\nmass_kg = 1600.0  # kg, typical\n")
+    with pytest.raises(UsageError) as told:
+        check_mass(path)
+    assert str(told.value) == (
+        f"{path}: vehicle.mass_kg is a typical value, and what forces show "
+        "depends on it: weigh the car and take the word out of the line, or "
+        "give --anyway"
+    )
 
 
 @pytest.mark.slow

@@ -31,3 +31,12 @@ def test_a_match_that_added_an_edge_has_curves() -> None:
         assert one.after_c == pytest.approx(one.measured_c, abs=0.01)
     face = found["pad_front"]
     assert np.abs(face.before_c - face.after_c).max() > 1.0
+
+
+def test_a_corner_without_thermocouples_has_none() -> None:
+    config = load_config(EXAMPLE)
+    drive = driven(config, "made", ((20.0, 0.0, 5.0),), every=1, nodes=())
+    one = SimpleNamespace(config=config, corner=config.corner[0])
+    match: Any = SimpleNamespace(before=one, after=one)
+
+    assert curves_of(match, drive, "FL") == []

@@ -13,15 +13,22 @@ from bstm_daemon.analysis.matching.drives import (
     GRID_S,
     Drive,
     Thermocouple,
+    drive_of,
+    log_events,
     read_drive,
+    read_drives,
 )
 from bstm_daemon.analysis.matching.march import (
     initial_temperatures,
     march,
 )
+from bstm_daemon.bus.opening import EventLog
+from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import LogError, UsageError
 from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.estimator.estimator import Estimator
+from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.simulation import SimulatedDrive, simulate
 from bstm_daemon.simulation.drives import parse_drive
 from bstm_daemon.simulation.recorder import (
@@ -32,6 +39,7 @@ from bstm_daemon.simulation.recorder import (
 from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
+    from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
 
 ROOT = Path(__file__).parents[3]
@@ -198,6 +206,85 @@ def test_a_kept_record_is_its_segments_in_order(
 
     assert np.array_equal(found.inputs, drive.inputs, equal_nan=True)
     assert found.start_s == drive.start_s
+
+
+def test_a_part_begins_where_it_is_cut(drive: Drive) -> None:
+    """Its name, its stamps, its thermocouples and its inputs."""
+    part = drive.part(40, 100)
+
+    assert part.name == "short.log from 20 to 50 s"
+    assert part.start_s == drive.start_s + 20.0
+    assert np.array_equal(part.inputs, drive.inputs[40:100], equal_nan=True)
+    assert np.array_equal(part.speed_ms, drive.speed_ms[40:100])
+    whole, cut = (one.measured["FL"]["disc"] for one in (drive, part))
+    inside = (whole.time_s >= 20.0) & (whole.time_s <= 50.0)
+    assert cut.time_s == pytest.approx(whole.time_s[inside] - 20.0)
+    assert cut.temperature_k.tolist() == whole.temperature_k[inside].tolist()
+    assert drive.part(0, len(drive)) is drive
+
+
+def test_drives_are_read_in_order_each_once(log: Path) -> None:
+    config, signal_map = load_vehicle(EXAMPLE)
+    shown: list[float] = []
+
+    found = read_drives([log, log], config, signal_map, progress=shown.append)
+
+    # fused heat: what all of them taught is there from the first one on
+    one, two = found
+    assert (one.name, two.name) == ("short.log", "short.log")
+    assert shown.count(1.0) == 4
+    once = read_drive(log, config, signal_map)
+    assert once.learned is not None
+    assert one.learned != once.learned
+
+    heat = config.heat.model_copy(update={"mode": "ff"})
+    plain = config.model_copy(update={"heat": heat})
+    one, two = read_drives([log, log], plain, signal_map)
+    assert np.array_equal(one.inputs, two.inputs, equal_nan=True)
+
+
+def test_all_parts_of_a_log_are_taken(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, signal_map = load_vehicle(EXAMPLE)
+    whole = [*log_events(log, signal_map)]
+    shown: list[float] = []
+    (events,) = whole
+    cuts = [slice(0, 0), slice(0, 500), slice(500, None)]
+    parts = [
+        Events(events.time_us[cut], events.role[cut], events.value[cut])
+        for cut in cuts
+    ]
+    monkeypatch.setattr(EventLog, "events", lambda _: iter(parts))
+
+    found = [*log_events(log, signal_map, None, shown.append)]
+
+    assert [len(one) for one in found] == [0, 500, len(events) - 500]
+    assert len(shown) == 3
+    by_parts = drive_of("a", of(config, signal_map), iter(parts))
+    at_once = drive_of("a", of(config, signal_map), iter(whole))
+    assert by_parts.start_s == at_once.start_s
+    assert at_once.start_s == pytest.approx(START_STAMP_S, abs=0.2)
+    assert np.array_equal(by_parts.inputs, at_once.inputs, equal_nan=True)
+
+
+def of(config: Config, signal_map: SignalMap) -> Estimator:
+    return Estimator(config, present_roles(signal_map))
+
+
+def test_what_is_no_drive_is_refused_by_name(log: Path) -> None:
+    config, signal_map = load_vehicle(EXAMPLE)
+    (events,) = log_events(log, signal_map)
+    stamps_us = events.time_us.copy()
+    stamps_us[len(stamps_us) // 2 :] -= 100_000_000
+
+    with pytest.raises(LogError, match=r"^back: its clock jumps; split the"):
+        drive_of(
+            *("back", of(config, signal_map)),
+            [Events(stamps_us, events.role, events.value)],
+        )
+    with pytest.raises(LogError, match=r"^nothing: too short$"):
+        drive_of("nothing", of(config, signal_map), [])
 
 
 def test_a_folder_without_segments_is_no_record(tmp_path: Path) -> None:

@@ -16,9 +16,16 @@ from bstm_daemon.analysis.matching.learned import (
     DAY_TO_DAY,
     known_covariance,
     known_keys,
+    settings_of,
 )
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
-from bstm_daemon.analysis.matching.tunables import MASS, SLOW, TUNABLES, Target
+from bstm_daemon.analysis.matching.tunables import (
+    BEYOND_MS,
+    MASS,
+    SLOW,
+    TUNABLES,
+    Target,
+)
 from bstm_daemon.config.reading import load_config
 
 if TYPE_CHECKING:
@@ -131,3 +138,23 @@ def test_a_key_of_another_version_is_left_out(target: Target) -> None:
     other = one.model_copy(update={"names": ["of.later", *one.names[1:]]})
 
     assert known_keys(with_table(target, other)) == one.names[1:]
+
+
+def test_a_table_that_got_further_speeds_is_written_with_them(
+    target: Target,
+) -> None:
+    further = next(iter(BEYOND_MS))
+    slow, fast = ({key: 1.2} for key in (SLOW, further))
+
+    with_slow = settings_of(target, target.changed(slow), slow)
+    with_both = settings_of(target, target.changed(fast), fast | {MASS: 1.1})
+
+    changed = target.changed(fast)
+    table = changed.config.cooling_of(changed.corner)
+    assert set(with_slow) == {"cooling.s_per_s"}
+    assert with_both == {
+        MASS: 1.1,
+        "cooling.speed_ms": tuple(table.speed_ms),
+        "cooling.s_per_s": tuple(table.s_per_s),
+    }
+    assert BEYOND_MS[further] in table.speed_ms

@@ -19,6 +19,7 @@ from bstm_daemon.analysis.matching.refine import (
     fitted,
     folds_of,
     learned,
+    peaks_of,
     refine,
     rms_of,
 )
@@ -66,6 +67,7 @@ def test_right_values_are_found(
             fit.standard_deviation(key) + 0.002 * right
         )
     assert not fit.at_bound
+    assert fit.rms_k.keys() == {"disc", "pad_front", "pad_back", "fluid"}
     assert max(fit.rms_k.values()) < 2.0
 
 
@@ -177,6 +179,27 @@ def test_a_ratio_that_is_known_better_than_its_parts_is_named(
     assert "only together with" in verdicts(fit)[1].reason
 
 
+@pytest.mark.parametrize(
+    ("information", "decides"), [(1.0, True), (1.7, False)]
+)
+def test_what_the_drives_say_less_of_than_the_prior_is_the_priors(
+    information: float,
+    decides: bool,  # noqa: FBT001
+) -> None:
+    """Alone they would know it to 1 or 0.77 of a deviation of 0.4."""
+    values = {MASS: 1.0}
+    fit = Refinement(
+        (MASS,), values, values, np.array([0.4]), np.array([[0.15]]),
+        np.array([[information]]), (), {}, {}, 100, 10,
+    )  # fmt: skip
+
+    (found,) = verdicts(fit)
+
+    assert found.share == pytest.approx(0.15**0.5 / 0.4)
+    assert found.reason.endswith("the prior decides") == decides
+    assert not found.settled
+
+
 def test_a_side_is_as_uncertain_as_both_and_their_ratio() -> None:
     """Logarithms add up: that of the right is the left's and the factor's."""
     keys = (MASS, FAST, *SIDES)
@@ -249,6 +272,58 @@ def test_of_a_single_drive_the_last_third_is_left_out(
     assert fitted_on == (0, slice(0, round(steps * 2 / 3)))
     assert left == (0, slice(round(steps * 2 / 3), steps))
     assert not folds_of([drive.part(0, 300)])
+
+
+def test_each_of_several_drives_is_left_out_once(
+    made: Callable[..., Drive],
+) -> None:
+    drives = [made(profile=((10.0, 0.0, 60.0),)) for _ in range(3)]
+    whole = slice(None)
+
+    found = folds_of(drives)
+
+    assert found == [
+        ([(1, whole), (2, whole)], (0, whole)),
+        ([(0, whole), (2, whole)], (1, whole)),
+        ([(0, whole), (1, whole)], (2, whole)),
+    ]
+
+
+def test_the_largest_error_is_that_of_all_drives() -> None:
+    parts = [
+        (np.array(error), np.zeros(2)) for error in ([1.0, -4.0], [3.0, 2.0])
+    ]
+
+    assert peaks_of({"disc": parts, "fluid": parts[1:]}) == {
+        "disc": 4.0,
+        "fluid": 3.0,
+    }
+
+
+def test_noise_is_of_its_own_node_with_what_is_known_of_its_lag(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    """White noise that is told apart by node, as the drive has it."""
+    drive = made(RIGHT, nodes=("disc", "fluid"))
+    rng = np.random.default_rng(2)
+    noisy = {}
+    for node, white_k in (("disc", 4.0), ("fluid", 0.5)):
+        one = drive.measured["FL"][node]
+        off_k = rng.normal(0.0, white_k, len(one.time_s))
+        noisy[node] = replace(one, temperature_k=one.temperature_k + off_k)
+    first = {node: replace(FIRST[node], lag_s=0.5) for node in noisy}
+
+    fit = refine(
+        *(target, [replace(drive, measured={"FL": noisy})], (MASS,)),
+        start=RIGHT,
+        noise=first,
+        rounds=2,
+    )
+
+    assert fit.noise["disc"].white_k == pytest.approx(4.0, rel=0.2)
+    assert fit.noise["fluid"].white_k == pytest.approx(0.5, rel=0.3)
+    assert {one.lag_s for one in fit.noise.values()} == {0.5}
+    assert all(one.share == 0.0 for one in FIRST.values())
 
 
 def test_the_right_values_leave_nothing_of_a_part(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,6 +99,39 @@ def test_only_cooling_leaves_the_rest(
 
     assert set(values) <= set(COOLING)
     assert all(set(one.stage.keys) <= set(COOLING) for one in results)
+
+
+def test_a_stage_has_the_number_of_its_section() -> None:
+    sections = Counter(stage.section.split()[0] for stage in STAGES)
+
+    assert sections == {
+        "4.4": 1,
+        "5.1.1": 1,
+        "5.1.2": 2,
+        "5.1.3": 2,
+        "5.2.1": 4,
+        "5.2.2": 1,
+    }
+
+
+def test_each_stage_is_shown_when_it_is_done(
+    target: Target, made: Callable[..., Drive]
+) -> None:
+    shown: list[float] = []
+    keys = [
+        "thermal.pad_backplate_thermal_resistance_m2k_w",
+        "thermal.hot_pad_factor",
+    ]
+
+    run_stages(target, [made()], only=keys, progress=shown.append)
+
+    places = [
+        number
+        for number, stage in enumerate(STAGES, 1)
+        if set(stage.keys) <= set(keys)
+    ]
+    assert shown == [place / len(STAGES) for place in places]
+    assert len(shown) == 2
 
 
 def test_every_stage_tunes_what_can_be_tuned() -> None:

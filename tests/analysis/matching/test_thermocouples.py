@@ -17,9 +17,11 @@ from bstm_daemon.analysis.matching.thermocouples import (
     InPad,
     node_at,
     placements,
+    thermocouples_of,
 )
 from bstm_daemon.config.sections import Config, SignalConfig
 from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -133,6 +135,34 @@ def test_a_disc_reads_more_near_its_face_and_less_deep_in_it(
     assert isinstance(deep, InDisc)
     # 1/3 at the face, -1/6 at the insulated side
     assert near.excess_k_w == pytest.approx(-2.0 * deep.excess_k_w)
+    # the slowest of the plate's own: b^2 / (pi^2 alpha)
+    diffusivity = disc.conductivity_w_mk / (
+        disc.density_kg_m3 * disc.effusivity_heat_capacity_j_kgk
+    )
+    assert near.lag_s == pytest.approx(
+        thickness_m**2 / (np.pi**2 * diffusivity)
+    )
+
+
+def test_samples_are_put_in_the_order_of_their_times() -> None:
+    """By corner and node; those of one time stay as they came."""
+    disc, fluid = (ROLE_INDEX[f"temp_fl_{node}"] for node in ("disc", "fluid"))
+    samples = {
+        disc: [
+            (np.array([12.0, 11.0]), np.array([300.0, 301.0])),
+            (np.array([10.0, 11.0]), np.array([302.0, 303.0])),
+        ],
+        fluid: [(np.array([15.0]), np.array([310.0]))],
+    }
+
+    found = thermocouples_of(samples, ("FL", "FR"), 10.0)
+
+    assert found.keys() == {"FL"}
+    assert found["FL"].keys() == {"disc", "fluid"}
+    one = found["FL"]["disc"]
+    assert one.time_s.tolist() == [0.0, 1.0, 1.0, 2.0]
+    assert one.temperature_k.tolist() == [302.0, 301.0, 303.0, 300.0]
+    assert found["FL"]["fluid"].time_s.tolist() == [5.0]
 
 
 def test_a_march_reads_where_the_thermocouple_is(

@@ -12,6 +12,7 @@ from bstm_daemon.analysis.matching.tunables import (
     DRAG,
     FAST,
     LEVEL,
+    MASS,
     NODES_MS,
     REFINED,
     SIDES,
@@ -26,6 +27,7 @@ from bstm_daemon.analysis.matching.tunables import (
 )
 from bstm_daemon.analysis.statistics.student import as_normal
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.estimates import PriorsConfig
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -145,3 +147,39 @@ def test_drives_without_a_thermocouple_are_refused() -> None:
         LogError, match=r"^one, two: .* roles temp_<corner>_<node>$"
     ):
         measured_targets(config, drives)
+
+
+def test_priors_of_the_type_count_while_the_value_is_the_types(
+    target: Target,
+) -> None:
+    """Of these corners, by name; an edited value has its usual prior."""
+    mass, still = MASS, "cooling.standstill_convection_fraction"
+    usual = TUNABLES[mass].prior
+
+    def prior(corners: list[str], value: float) -> float:
+        known = PriorsConfig(
+            corners=corners,
+            names=[still, mass],
+            values=[0.3, value],
+            deviations=[0.5, 0.011],
+            cars=3,
+        )
+        config = target.config.model_copy(update={"priors": [known]})
+        return Target(config, target.corners).tunable(mass).prior
+
+    now = target.setting(mass)
+    assert prior(["FL", "FR"], 1.0005 * now) == 0.011
+    assert prior(["FL"], 1.002 * now) == usual
+    assert prior(["RL"], now) == usual
+
+
+def test_another_form_of_cooling_is_one_of_the_same_corners(
+    target: Target,
+) -> None:
+    changed = target.with_cooling_form("conductance")
+
+    forms = [
+        changed.config.cooling_of(corner).form
+        for corner in changed.config.disc_corners()
+    ]
+    assert forms == ["conductance", "rate", "rate", "rate"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isnan
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.matching.verification import (
+    LONG_S,
     NodeErrors,
     Verdict,
     compared,
@@ -91,6 +93,17 @@ def test_narrower_limits_judge_more() -> None:
 
     assert "fluid, peak time [s]" in missed
     assert any("last 20 min" in one.what for one in late)
+
+
+@pytest.mark.parametrize(("duration_s", "judges"), [(LONG_S, 1), (10.0, 0)])
+def test_the_end_of_a_long_drive_is_judged(
+    duration_s: float, judges: int
+) -> None:
+    one = replace(of("fluid", LATER_C), duration_s=duration_s)
+
+    found = decisive(judged([one]), "goal")
+
+    assert sum("last 20 min" in each.what for each in found) == judges
 
 
 def test_the_disc_is_judged_below_650_degc() -> None:
@@ -209,6 +222,16 @@ def test_only_a_measured_disc_has_a_baseline() -> None:
     assert not held_against([(drive, [of("fluid", LATER_C)])])
 
 
+def test_a_disc_is_held_against_rivals_also_behind_another_node() -> None:
+    drive = lumped(HAT, 600.0)
+    disc = disc_errors(drive, 1.0)
+
+    both = held_against([(drive, [of("fluid", LATER_C), disc])])
+
+    assert both == held_against([(drive, [disc])])
+    assert both
+
+
 def test_the_baseline_decides_beside_the_required_limits() -> None:
     verdicts = [
         Verdict(limits, "drive", "FL", "what", 1.0, 2.0)
@@ -254,3 +277,8 @@ def test_an_estimate_is_compared_with_its_own_thermocouple(
     air_c = 10.0 + 0.01 * (2.0 * found.time_s - 1.0)
     assert found.rise_k == pytest.approx(105.0 + 0.1 * found.time_s - air_c)
     assert found.last_k == pytest.approx(5.0)
+
+    # one that never read anything is compared with nothing
+    silent = Thermocouple(time_s, np.full(len(time_s), np.nan))
+    drive = replace(drive, measured={"FR": {"disc": silent}})
+    assert errors_of(drive, target.config) == []
