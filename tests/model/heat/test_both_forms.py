@@ -26,6 +26,8 @@ from bstm_daemon.roles import CORNERS, ROLES
 from .conftest import STEP_US, Run
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from bstm_daemon.native.loader import Kernel
 
 LAW = FrictionLaw.of(
@@ -61,13 +63,32 @@ PLANS = st.fixed_dictionaries(
 )
 
 
+FAULTS: dict[str, Callable[[float, float], float]] = {
+    "stuck": lambda _, last: last,
+    "zero": lambda *_: 0.0,
+    "half": lambda value, _: 0.5 * value,
+    "triple": lambda value, _: 3.0 * value,
+    "shifted": lambda value, _: value + 2.0,
+    "much less": lambda value, _: value - 2e5,
+    "reversed": lambda value, _: -value,
+    "swinging": lambda value, last: 0.0 if last else value,
+    "silent": lambda *_: math.nan,
+}
+"""What a faulty sensor shows of a value, with what it showed before."""
+
+
 @dataclass
 class Drive:
-    """A drive that holds together, with defects, from one seed."""
+    """A drive that holds together, with defects, from one seed.
+
+    ``faulty`` is the share of the roles that fail for good at some time.
+    """
 
     seed: int
     steps: int
     defects: float
+    step_us: int = 20_000
+    faulty: float = 0.0
 
     def samples(self, roles: list[int]) -> list[tuple[int, int, float]]:
         """Return samples of *roles*: a car that pulls away and brakes."""
@@ -76,15 +97,24 @@ class Drive:
         speed, rate = draw.uniform(0.0, 30.0), 0.0
         mass_kg, friction = draw.uniform(1500.0, 3500.0), draw.uniform(0.5, 1)
         grade, wheels = draw.uniform(-0.05, 0.05), draw.choice([1.0, 1.1])
+        faults = {
+            role: (draw.randrange(self.steps), draw.choice([*FAULTS.values()]))
+            for role in roles
+            if self.faulty and draw.random() < self.faulty
+        }
+        shown: dict[int, float] = {}
+        altitude_m = 200.0
         found = []
         for step in range(self.steps):
             if step % 60 == 0:
                 rate = draw.choice([0.0, 1.5, 0.5, -2.0, -4.0])
                 rate = -2.0 if speed > 40.0 else rate
-            at_us += draw.choice([20_000, 20_000, 20_000, 50_000, 5_000])
+            share = draw.choice([1.0, 1.0, 1.0, 2.5, 0.25])
+            at_us += round(share * self.step_us)
             if draw.random() < 0.1 * self.defects:
                 at_us += draw.choice(JUMPS_US)
-            speed = max(speed + 0.02 * rate, 0.0)
+            speed = max(speed + 1e-6 * self.step_us * rate, 0.0)
+            altitude_m += 1e-6 * self.step_us * grade * speed
             force = mass_kg * (rate + 9.81 * (0.014 + grade)) + 4.0 * speed
             braking = max(-rate - 0.3, 0.0) if speed > 0.0 else 0.0
             held = {
@@ -94,13 +124,25 @@ class Drive:
                 "torque": 0.33 * force if rate > -0.5 else -50.0,
                 "force": 0.0,
                 "temperature": 290.0 + 0.1 * (step % 90),
-                "flag": float(braking > 0.0),
+                "flag": 0.0,
+                "brake_switch": float(braking > 0.0),
+                "brake_torque": 0.33 * braking * mass_kg,
+                "motor_torque": 0.0,
+                "acceleration_lateral": 0.0,
+                "gnss_speed": speed,
+                "pitch": grade,
+                "altitude": altitude_m,
+                "brake_pedal_travel": 0.01 * braking,
                 "count": float(3 + step // 500 % 2),
             }
             for role in roles:
                 if draw.random() < 0.2:
                     continue
-                value = held.get(ROLES[role].quantities[0], 0.0)
+                of = ROLES[role]
+                value = held.get(of.name, held.get(of.quantities[0], 0.0))
+                if role in faults and step >= faults[role][0]:
+                    value = faults[role][1](value, shown.get(role, value))
+                shown[role] = value
                 if draw.random() < self.defects:
                     value = draw.choice([*DEFECTS, 50.0 * value, -value])
                 found.append((at_us, role, value))
@@ -194,6 +236,48 @@ def test_many_random_cars_and_drives(
 ) -> None:
     """The same, longer: also what only minutes of driving bring about."""
     drive.steps *= 10
+    assert same(*runs(chosen, drive, compiled, make_car, make_corner))
+
+
+BRAKE_PRESSURES = {i for i, one in enumerate(ROLES) if "pressure" in one.name}
+EACH_FIFTH = set(range(3, len(ROLES), 5))
+
+
+@pytest.mark.parametrize(
+    ("mode", "seed", "absent"),
+    [
+        *(("fused", seed, set()) for seed in (0, 9, 11, 23, 29)),
+        *(("fused", seed, EACH_FIFTH) for seed in (1, 3)),
+        *(("ff", 38, EACH_FIFTH), ("fb", 2, EACH_FIFTH)),
+        *(("fb", seed, BRAKE_PRESSURES) for seed in (5, 6)),
+    ],
+)
+def test_minutes_with_sensors_that_fail(
+    compiled: Kernel,
+    make_car: Any,
+    make_corner: Any,
+    mode: str,
+    seed: int,
+    absent: set[int],
+) -> None:
+    """What is judged, learned and replaced over time is equal too."""
+    chosen = {
+        "names": CORNERS,
+        "secondary": set(CORNERS[2:]),
+        "mode": mode,
+        "slope": "flat" if seed in {2, 6} else "accelerometer",
+        "torque_nm": 200.0 if seed == 1 else None,
+        "lag_s": 0.1,
+        "table": True,
+        "law": seed == 0,
+        "unpressed": 0.5,
+        "settling_s": 3600.0,
+        "absent": absent,
+        "timeout_us": 500_000,
+    }
+    faulty = 0.08 * (seed % 5)
+    drive = Drive(seed, 2000, 1e-5, step_us=100_000, faulty=faulty)
+
     assert same(*runs(chosen, drive, compiled, make_car, make_corner))
 
 
