@@ -105,9 +105,12 @@ def either_sign(name: str) -> bool:
     )
 
 
-def twins_of(name: str) -> tuple[str, ...]:
-    """Return the declared twins of the candidate *name*."""
-    return effect_class(name).twins if is_listed(name) else ()
+def are_twins(a: str, b: str) -> bool:
+    """Whether one of two candidates declares the other as its twin."""
+    return any(
+        is_listed(one) and other in effect_class(one).twins
+        for one, other in ((a, b), (b, a))
+    )
 
 
 def largest(name: str) -> float:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import twins_of
+from bstm_daemon.analysis.gap.changes import are_twins
 from bstm_daemon.analysis.gap.evidence import STRENGTHS, Candidate, weigh
 from bstm_daemon.analysis.gap.signatures import Linearised
 from bstm_daemon.analysis.statistics.evidence import (
@@ -124,7 +124,7 @@ class _Search:
         A thermocouple that is twice as late has another course, not twice
         that at strength 1: the difference looks like a late clock.
         """
-        if a not in twins_of(b) and b not in twins_of(a):
+        if not are_twins(a, b):
             return False
         better, other = sorted((a, b), key=lambda n: -self._alone[n].gain)
         strength = self._alone[better].strength

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import is_change, twins_of
+from bstm_daemon.analysis.gap.changes import are_twins, is_change
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     best_placebo,
@@ -341,8 +341,7 @@ def _single(
     why = []
     for name in members[1:]:
         alike = cosine(project, by_name[best.name], by_name[name])
-        declared = name in twins_of(best.name) or best.name in twins_of(name)
-        if declared or abs(alike) >= ALIKE:
+        if are_twins(name, best.name) or abs(alike) >= ALIKE:
             why.append(f"{name} (signatures alike, cosine {alike:.2f})")
     if len(why) == len(members) - 1:
         reason = (

@@ -19,11 +19,14 @@ from bstm_daemon.analysis.matching import matcher
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.refine import Accuracy
+from bstm_daemon.analysis.matching.tunables import strength_key
 from bstm_daemon.analysis.matching.workflow import Matched
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.report.match import step_json, step_lines
 
 from ...made_drives import EXAMPLE  # noqa: TID252  (tests are no package)
+from ...made_matches import match_of  # noqa: TID252
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.gap.signatures import Linearised
     from bstm_daemon.analysis.matching.matcher import Match
+    from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.config.sections import Config
 
 HIDDEN: Final = {"gap_conduction": 1.0}
@@ -43,6 +47,29 @@ AMONG: Final = (
     "shim_contact",
 )  # fmt: skip
 """Effects on temperatures: these drives have no samples to heat anew."""
+
+
+def test_an_effect_has_the_strength_that_was_matched(target: Target) -> None:
+    """And says so; one that no match fitted stays as it is."""
+    effect = EffectConfig(
+        name="local_air",
+        parameters={"strength": 1.0, "delay_s": 3.0},
+        provenance={"source": "bstm gap", "data": ["a"]},
+    )
+    match = match_of(target, {strength_key("local_air"): 2.0}, after=target)
+
+    found = calibration._as_matched(effect, match)
+
+    assert found.parameters == {"strength": 2.0, "delay_s": 3.0}
+    # 0.2 of 2: exp(1.645 * 0.1) on either side
+    assert found.provenance == {
+        "source": "bstm match",
+        "data": ["a"],
+        "strength_sd": 0.2,
+        "strength_90": [1.697, 2.358],
+    }
+    other = effect.model_copy(update={"name": "disc_hat"})
+    assert calibration._as_matched(other, match) is other
 
 
 @pytest.fixture

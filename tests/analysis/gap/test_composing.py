@@ -141,6 +141,28 @@ def test_nothing_is_composed_where_nothing_is_missing(
     assert not comparison.sizes
 
 
+def test_a_composed_term_is_answered_beside_what_is_known(
+    target: Target, config: Config, made: Callable[..., Recording]
+) -> None:
+    """With its signature; where no effect was named, for the same reason."""
+    text = "fluid to air, rising with speed"
+    hidden = hiding(config, **{text: 1.5})
+    drives = [made(of=hidden), made(name="b", of=hidden, seed=2)]
+    comparison = compare(target, drives)
+    known = unexplained(comparison)
+    unnamed = Naming("unknown", (), 0.9, (), {"": 0.0}, "no listed effect")
+
+    more, naming = with_composed(comparison, comparison, known, unnamed)
+
+    assert naming.answer == "composed"
+    assert naming.names == (PREFIX + text,)
+    assert [one.name for one in more.signatures] == [PREFIX + text]
+    assert naming.reason == "no listed effect"
+    assert naming.probability == naming.odds[PREFIX + text]
+    assert set(naming.cross_validated) == {"made", "b"}
+    assert min(naming.cross_validated.values()) > 0.0
+
+
 @pytest.mark.slow  # two searches and a fit
 def test_it_is_named_adopted_and_shrinks_a_held_out_drive(
     config: Config, made: Callable[..., Recording], tmp_path: Path

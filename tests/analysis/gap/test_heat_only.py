@@ -9,11 +9,12 @@ import pytest
 
 from bstm_daemon.analysis.gap.advising import samples_of
 from bstm_daemon.analysis.gap.force_balance import forces
-from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.heat_only import _at_bound, find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import LogError
 from bstm_daemon.files import shipped_file
+from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
@@ -50,6 +51,20 @@ def driven(
         config,
         present,
     )
+
+
+@pytest.mark.parametrize(
+    ("share", "at_bound"),
+    [(0.0, True), (0.5, False), (1.0, True), (1.5, True)],
+)
+def test_a_strength_at_its_bound_is_told(
+    share: float,
+    at_bound: bool,  # noqa: FBT001
+) -> None:
+    bounds = effect_class("friction_fade").parameters()[0]
+    strength = bounds.lower + share * (bounds.upper - bounds.lower)
+
+    assert _at_bound("friction_fade", strength) is at_bound
 
 
 @pytest.mark.slow

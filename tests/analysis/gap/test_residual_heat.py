@@ -80,6 +80,25 @@ def test_windows_have_the_regime_of_most_of_them(
     assert REGIMES[found[-1]] == "parked"
 
 
+def test_a_node_that_reads_for_no_whole_window_has_no_heat(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    drive = made().drive
+    couples = dict(drive.measured["FL"])
+    fluid = couples["fluid"]
+    couples["fluid"] = replace(
+        fluid,
+        time_s=fluid.time_s[:8],
+        temperature_k=fluid.temperature_k[:8],
+    )
+
+    found = residual_heat(
+        config, replace(drive, measured={"FL": couples}), "FL"
+    )
+
+    assert [one.node for one in found] == ["disc", "pad_front", "pad_back"]
+
+
 def test_a_drive_shorter_than_a_window_has_none(
     config: Config, made: Callable[..., Recording]
 ) -> None:
