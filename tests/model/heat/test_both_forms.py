@@ -81,7 +81,9 @@ FAULTS: dict[str, Callable[[float, float], float]] = {
 class Drive:
     """A drive that holds together, with defects, from one seed.
 
-    ``faulty`` is the share of the roles that fail for good at some time.
+    ``faulty`` is the share of the roles that fail for good at some time;
+    those that are alike, as four wheels, do so *together* or each alone.
+    Those of ``stuck`` stay, from a third of the drive on, what they are.
     """
 
     seed: int
@@ -89,6 +91,8 @@ class Drive:
     defects: float
     step_us: int = 20_000
     faulty: float = 0.0
+    together: bool = False
+    stuck: str = ""
 
     def samples(self, roles: list[int]) -> list[tuple[int, int, float]]:
         """Return samples of *roles*: a car that pulls away and brakes."""
@@ -97,11 +101,13 @@ class Drive:
         speed, rate = draw.uniform(0.0, 30.0), 0.0
         mass_kg, friction = draw.uniform(1500.0, 3500.0), draw.uniform(0.5, 1)
         grade, wheels = draw.uniform(-0.05, 0.05), draw.choice([1.0, 1.1])
+        kinds = {role: self._kind(role) for role in roles}
         faults = {
-            role: (draw.randrange(self.steps), draw.choice([*FAULTS.values()]))
-            for role in roles
+            kind: (draw.randrange(self.steps), draw.choice([*FAULTS.values()]))
+            for kind in dict.fromkeys(kinds.values())
             if self.faulty and draw.random() < self.faulty
         }
+        faults[self.stuck] = self.steps // 3, FAULTS["stuck"]
         shown: dict[int, float] = {}
         altitude_m = 200.0
         found = []
@@ -140,8 +146,9 @@ class Drive:
                     continue
                 of = ROLES[role]
                 value = held.get(of.name, held.get(of.quantities[0], 0.0))
-                if role in faults and step >= faults[role][0]:
-                    value = faults[role][1](value, shown.get(role, value))
+                begin, shows = faults.get(kinds[role], (self.steps, None))
+                if shows is not None and step >= begin:
+                    value = shows(value, shown.get(role, value))
                 shown[role] = value
                 if draw.random() < self.defects:
                     value = draw.choice([*DEFECTS, 50.0 * value, -value])
@@ -149,6 +156,10 @@ class Drive:
             if draw.random() < self.defects:
                 found.append((at_us, draw.choice([-1, 500, 7]), 1.0))
         return found
+
+    def _kind(self, role: int) -> str:
+        name = ROLES[role].name
+        return name.rpartition("_")[0] if self.together else name
 
 
 DRIVES = st.builds(
@@ -276,7 +287,13 @@ def test_minutes_with_sensors_that_fail(
         "timeout_us": 500_000,
     }
     faulty = 0.08 * (seed % 5)
-    drive = Drive(seed, 2000, 1e-5, step_us=100_000, faulty=faulty)
+    drive = Drive(
+        *(seed, 2000, 1e-5),
+        step_us=100_000,
+        faulty=faulty,
+        together=seed in {3, 6, 9},
+        stuck={9: "wheel_speed", 11: "primary_pressure"}.get(seed, ""),
+    )
 
     assert same(*runs(chosen, drive, compiled, make_car, make_corner))
 
