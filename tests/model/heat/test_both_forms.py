@@ -83,7 +83,7 @@ class Drive:
 
     ``faulty`` is the share of the roles that fail for good at some time;
     those that are alike, as four wheels, do so *together* or each alone.
-    Those of ``stuck`` stay, from a third of the drive on, what they are.
+    Those of ``stuck`` stay what they are at a braking in mid-drive.
     """
 
     seed: int
@@ -107,7 +107,6 @@ class Drive:
             for kind in dict.fromkeys(kinds.values())
             if self.faulty and draw.random() < self.faulty
         }
-        faults[self.stuck] = self.steps // 3, FAULTS["stuck"]
         shown: dict[int, float] = {}
         altitude_m = 200.0
         found = []
@@ -123,6 +122,8 @@ class Drive:
             altitude_m += 1e-6 * self.step_us * grade * speed
             force = mass_kg * (rate + 9.81 * (0.014 + grade)) + 4.0 * speed
             braking = max(-rate - 0.3, 0.0) if speed > 0.0 else 0.0
+            if step > self.steps // 3 and braking > 1.0:
+                faults.setdefault(self.stuck, (step, FAULTS["stuck"]))
             held = {
                 "speed": speed * wheels,
                 "pressure": braking * mass_kg / friction / 24e-4,
