@@ -11,6 +11,7 @@ import pytest
 from bstm_daemon.analysis.gap import advising
 from bstm_daemon.analysis.gap.advising import (
     MENU,
+    MOST_MEMBERS,
     Advice,
     Prospect,
     advise,
@@ -20,7 +21,7 @@ from bstm_daemon.analysis.gap.advising import (
     samples_of,
 )
 from bstm_daemon.analysis.gap.evidence import weigh
-from bstm_daemon.analysis.gap.naming import name_effect
+from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.recording import recorded
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
@@ -36,6 +37,8 @@ from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.simulation import drive_names, load_drive, simulate
 from bstm_daemon.simulation.parameters import Effects
+
+from ...made_drives import driven  # noqa: TID252  (tests are no package)
 
 if TYPE_CHECKING:
     from bstm_daemon.analysis.gap.recording import Recording
@@ -277,3 +280,33 @@ def test_odds_and_advantage_of_the_true_one() -> None:
     assert judge._advantage(logs) == pytest.approx(np.log(3.0))
     judge._which = np.ones(worlds, int)
     assert judge._advantage(logs) == pytest.approx(-np.log(3.0))
+
+
+def test_so_many_are_asked_about_as_can_be_told_apart() -> None:
+    """The likeliest; below the gate also what the data could not show."""
+    odds = {f"e{i}": 0.1 - 0.005 * i for i in range(12)} | {"": 0.3}
+    among = Naming("class", ("e3", "e1"), 0.9, (), {**odds, "e2": 0.004}, "")
+
+    left = members_of(among, ["silent"])
+    assert left[:2] == ("e3", "e1")
+    assert left[2:] == ("e0", "e4", "e5", "e6", "e7", "e8")
+    nothing = among.answered("nothing", (), 0.3, "")
+    likely = members_of(replace(nothing, odds=odds), ["silent"])
+    assert likely == (*(f"e{i}" for i in range(MOST_MEMBERS)), "silent")
+    assert MOST_MEMBERS == 8
+
+
+def test_a_drive_is_predicted_as_it_would_be_read(config: Config) -> None:
+    """Each two seconds, at the nodes that the model has."""
+    profile = ((20.0, 0.0, 5.0), (20.0, 30e3, 30.0), (20.0, 0.0, 60.0))
+    made = driven(config, "made", profile, every=4)
+
+    found = advising._predicted(config, made, "FL", ("disc", "fluid", "rim"))
+
+    assert found.keys() == {"disc", "fluid"}
+    assert found["disc"].time_s.tolist() == made.time_s[::4].tolist()
+    whole = made.measured["FL"]["disc"]
+    assert found["disc"].temperature_k[1:] == pytest.approx(
+        np.interp(found["disc"].time_s[1:], whole.time_s, whole.temperature_k),
+        abs=6.0,
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -11,15 +12,18 @@ import pytest
 from bstm_daemon.analysis.gap import calibration
 from bstm_daemon.analysis.gap.calibration import (
     Calibration,
+    Step,
     _against,
     of_sensor,
 )
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.searching import search
 from bstm_daemon.analysis.matching import matcher
+from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.refine import Accuracy
-from bstm_daemon.analysis.matching.tunables import strength_key
+from bstm_daemon.analysis.matching.tunables import MASS, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.sections import EffectConfig
@@ -32,7 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from bstm_daemon.analysis.gap.calibration import Calibrated
-    from bstm_daemon.analysis.gap.naming import Naming
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.gap.signatures import Linearised
     from bstm_daemon.analysis.matching.matcher import Match
@@ -160,6 +163,104 @@ def test_an_effect_on_what_a_sensor_reads_is_told_not_fitted() -> None:
     assert of_sensor("clock_offset")
     assert not of_sensor("gap_conduction")
     assert not of_sensor("change.disc_mass")
+
+
+def test_a_match_that_gains_takes_the_place_of_the_one_before(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Corner by corner; what harms is dropped, and nothing else is tried."""
+    config = target.config
+    key = strength_key("gap_conduction")
+    asked: list[tuple[frozenset[str], list[str]]] = []
+    searched: list[tuple[tuple[str, ...], float, bool]] = []
+
+    def match_logs(
+        _: Any, of: Config, __: Any, guessed: frozenset[str], **given: Any
+    ) -> Matched:
+        asked.append((guessed, [one.name for one in of.effect]))
+        given["progress"](0.5)
+        matches = []
+        for corner, gains in (("FL", True), ("RL", False)):
+            rms_k = 2.0 if not of.effect else 1.0 if gains else 3.0
+            one = match_of(
+                target.of(corner),
+                {key: 1.4} if of.effect else {},
+                after=replace(target.of(corner), config=of),
+                rms_k={"disc": rms_k},
+            )
+            matches.append(one)
+        return Matched(of, matches, [], ["no stop"])
+
+    def look(
+        _: Calibration, match: Match, *, alone: bool
+    ) -> tuple[Step, list[EffectConfig]]:
+        (corner,) = match.corners
+        rms_k = match.accuracy.rms_k
+        searched.append((match.corners, rms_k["disc"], alone))
+        naming = Naming("nothing", (), 0.9, (), {}, "")
+        if match.joint.values:
+            return Step(match.corners, naming, rms_k), []
+        effect = EffectConfig(name="gap_conduction", corner=corner)
+        return Step(match.corners, naming, rms_k, "gap_conduction"), [effect]
+
+    monkeypatch.setattr(calibration, "match_logs", match_logs)
+    monkeypatch.setattr(Calibration, "_searched", look)
+    shown: list[tuple[float, str]] = []
+    _, signal_map = load_vehicle(EXAMPLE)
+
+    found = Calibration(
+        [], signal_map, progress=lambda *of: shown.append(of)
+    ).run(config, frozenset({"cooling.s_per_s"}))
+
+    assert asked == [
+        (frozenset({"cooling.s_per_s"}), []),
+        (frozenset({"cooling.s_per_s", key}), ["gap_conduction"] * 2),
+    ]
+    assert shown == [(0.5, ""), (0.5, "with what was named")]
+    assert searched == [
+        (("FL",), 2.0, False),
+        (("RL",), 2.0, False),
+        (("FL",), 1.0, False),
+    ]
+    kept = [(one.corners, one.kept, one.after_k) for one in found.steps]
+    assert kept == [
+        (("FL",), True, {"disc": 1.0}),
+        (("RL",), False, {"disc": 3.0}),
+        (("FL",), False, {}),
+    ]
+    assert found.steps[1].why == "leaves 1.50 times the error"
+    left, right = found.matched.matches
+    assert (left.joint.values, right.joint.values) == ({key: 1.4}, {})
+    assert left.before.config.effect == []
+    assert found.matched.why_not == ["no stop"]
+    (effect,) = found.effects
+    assert (effect.corner, effect.parameters["strength"]) == ("FL", 1.4)
+
+
+def test_a_search_knows_what_the_match_learned(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, signal_map = load_vehicle(EXAMPLE)
+    read: list[Any] = []
+
+    def recording(log: Path, config: Config, *of: Any) -> str:
+        read.append((log, config.matched, *of))
+        return f"recording of {log}"
+
+    monkeypatch.setattr(calibration, "read_recording", recording)
+    monkeypatch.setattr(calibration, "compare", lambda *of: of)
+    drives = cast("Any", ["one", "two"])
+    match = replace(match_of(target, {MASS: 1.1}), drives=drives)
+    known = learned(match)
+    logs = [Path("one"), Path("two")]
+
+    of, recordings = Calibration(logs, signal_map)._comparison(match, known)
+
+    assert of.config.matched == [known]
+    assert of.corners == target.corners
+    assert of.setting(MASS) == 1.1
+    assert recordings == ["recording of one", "recording of two"]
+    assert read == [(log, [known], signal_map, {}) for log in logs]
 
 
 @pytest.mark.slow

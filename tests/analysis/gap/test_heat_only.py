@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.advising import samples_of
-from bstm_daemon.analysis.gap.force_balance import forces
+from bstm_daemon.analysis.gap.force_balance import COLD_C, drag_n, forces
 from bstm_daemon.analysis.gap.heat_only import _at_bound, find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, recorded
+from bstm_daemon.analysis.matching.drives import Drive
+from bstm_daemon.bus.signals.columns import Events
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import LogError
 from bstm_daemon.files import shipped_file
@@ -19,6 +23,7 @@ from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.parameters import Effects
+from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from bstm_daemon.config.sections import Config
@@ -65,6 +70,32 @@ def test_a_strength_at_its_bound_is_told(
     strength = bounds.lower + share * (bounds.upper - bounds.lower)
 
     assert _at_bound("friction_fade", strength) is at_bound
+
+
+def test_pads_that_rub_brake_by_their_torque_while_released() -> None:
+    """All of it where they are hot, a share where they are cold."""
+    config, present = car()
+    heat = {"cold_share": 0.4, "hot_c": 220.0, "torque_nm": 6.0}
+    effect = effect_class("residual_drag")({"strength": 2.0, **heat})
+    steps = 40
+    inputs = np.zeros((steps, 4, len(CHANNELS)))
+    inputs[:, :, CHANNELS.index("ambient_k")] = COLD_C + 100.0 + KELVIN_OFFSET
+    none = Events(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0))
+    drive = Drive("a", 0.0, ("FL", "FR", "RL", "RR"), inputs, {})
+    recording = Recording(drive, present, none, inputs)
+    part: Any = SimpleNamespace(
+        speed_ms=np.ones(3),
+        first=np.array([0, 10, 20]),
+        braked=np.array([0.0, 0.25, 1.0]),
+    )
+
+    found = drag_n(effect, recording, part, config)
+
+    # half-way from cold to hot
+    wheel_n = 2.0 * 6.0 * (0.4 + 0.6 * 0.5) / config.vehicle.wheel_radius_m
+    corners = len(config.disc_corners())
+    wanted = corners * wheel_n * np.array([1.0, 0.75, 0.0])
+    assert found == pytest.approx(wanted, rel=1e-3)
 
 
 @pytest.mark.slow

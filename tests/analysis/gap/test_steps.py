@@ -1,0 +1,251 @@
+"""What is done up to each step that can be asked for, with known answers."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap import naming, workflow
+from bstm_daemon.analysis.gap.advising import Prospect
+from bstm_daemon.analysis.gap.evidence import Candidate
+from bstm_daemon.analysis.gap.joint_effects import JointEffects
+from bstm_daemon.analysis.gap.naming import Answer, Naming
+from bstm_daemon.analysis.gap.workflow import (
+    STEPS,
+    Question,
+    advise_before,
+    find_gap,
+)
+from bstm_daemon.errors import LogError
+from bstm_daemon.roles import ROLE_INDEX
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from bstm_daemon.analysis.matching.tunables import Target
+    from bstm_daemon.config.sections import Config
+
+ORDER = ("locate", "sensed", "search", "fit", "show", "map")
+"""What follows what; advice comes behind the search."""
+
+
+@pytest.fixture
+def steps(
+    monkeypatch: pytest.MonkeyPatch, config: Config, made: Any
+) -> Callable[..., tuple[Any, list[str]]]:
+    """Return what finds a gap of a known *naming*: it, and what was done."""
+
+    def run(
+        found: Naming, until: str, question: Question = workflow.ANY
+    ) -> tuple[Any, list[str]]:
+        done: list[str] = []
+
+        def says(name: str, value: Any = None) -> Callable[..., Any]:
+            def work(*_: Any, **__: Any) -> Any:
+                done.append(name)
+                return value
+
+            return work
+
+        known = SimpleNamespace(
+            silent=("shim_contact",), jacobian=np.zeros((3, 5))
+        )
+        shown = SimpleNamespace(against=lambda _: None, better=True)
+        extended = SimpleNamespace(strengths={"gap_conduction": 1.2})
+        for name, value in (
+            ("locate", "a map"),
+            ("sensed", SimpleNamespace(jacobian_k=None)),
+            ("search", (known, found)),
+            ("fit", extended),
+            ("show", shown),
+        ):
+            monkeypatch.setattr(workflow, name, says(name, value))
+        monkeypatch.setattr(workflow, "directions", lambda _: np.zeros((5, 2)))
+        monkeypatch.setattr(workflow, "starts", lambda _: {})
+        monkeypatch.setattr(workflow, "written", lambda *_: (("value",), "e"))
+        monkeypatch.setattr(workflow, "_map", says("map", "the map after"))
+        monkeypatch.setattr(workflow, "_prospects", lambda *_: ([], None))
+        monkeypatch.setattr(
+            workflow,
+            "advise",
+            lambda own, _, members, __: (
+                done.append(f"advise {own.jacobian.shape[1]}")
+                or ("advice", *members)
+            ),
+        )
+        monkeypatch.setattr(
+            workflow,
+            "replace",
+            lambda one, **new: (
+                SimpleNamespace(**{**vars(one), **new})
+                if one is known
+                else dataclass_replace(one, **new)
+            ),
+        )
+        (gap,) = find_gap(config, [made()], until=until, question=question)
+        return gap, done
+
+    dataclass_replace = workflow.replace
+    return run
+
+
+NAMED = Naming("name", ("gap_conduction",), 0.99, (), {"": 0.01}, "")
+TWINS = Naming(
+    *("class", ("gap_conduction", "shim_contact"), 0.97, ()),
+    *({"gap_conduction": 0.6, "shim_contact": 0.37}, ""),
+)
+
+
+@pytest.mark.parametrize(
+    ("until", "done"),
+    [
+        ("locate", ORDER[:1]),
+        *((until, ORDER[:3]) for until in ("gate", "name", "advise")),
+        ("adopt", ORDER[:5]),
+        ("show", ORDER),
+    ],
+)
+def test_nothing_is_done_beyond_what_is_asked_for(
+    steps: Callable[..., tuple[Any, list[str]]],
+    until: str,
+    done: Sequence[str],
+) -> None:
+    gap, found = steps(NAMED, until)
+
+    assert until in STEPS
+    assert found == [*done]
+    assert gap.recordings == ("made",)
+    assert gap.points > 100
+    assert gap.located == "a map"
+    assert gap.naming is (None if until == "locate" else NAMED)
+    is_adopted = until in {"adopt", "show"}
+    assert gap.adopted == (("gap_conduction",) if is_adopted else ())
+    assert gap.values == (("value",) if is_adopted else ())
+    assert gap.after == ("the map after" if until == "show" else None)
+
+
+def test_nothing_is_fitted_where_nothing_is_named(
+    steps: Callable[..., tuple[Any, list[str]]],
+) -> None:
+    unknown = NAMED.answered("unknown", (), 0.9, "")
+
+    gap, found = steps(unknown, "show")
+
+    assert found == [*ORDER[:3]]
+    assert gap.silent == ("shim_contact",)
+    assert gap.fit is None
+
+
+def test_what_can_not_be_told_apart_is_advised_on(
+    steps: Callable[..., tuple[Any, list[str]]],
+) -> None:
+    """Also before it is shown; by the jacobian of the tunables alone."""
+    gap, found = steps(TWINS, "show")
+    assert found[3] == "advise 2"
+    assert found[4:] == [*ORDER[3:]]
+    assert gap.members[:2] == ("gap_conduction", "shim_contact")
+    assert gap.advice == ("advice", *gap.members)
+
+    _, found = steps(TWINS, "adopt")
+    assert not any(one.startswith("advise") for one in found)
+
+    among = ("hub_conduction", "local_air")
+    gap, found = steps(NAMED, "advise", Question(among=among))
+    assert found == [*ORDER[:3], "advise 2"]
+    assert gap.members == among
+
+
+def test_before_any_drive_it_is_asked_of_the_first_measured_corners(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def prospects(target: Any, *of: Any) -> Any:
+        asked.append((target.corners, *of[:3]))
+        return ["a drive"], np.ones(3)
+
+    monkeypatch.setattr(workflow, "_prospects", prospects)
+    monkeypatch.setattr(
+        workflow, "advise", lambda known, *of: (known.residual, *of)
+    )
+    question = Question(among=("gap_conduction", "shim_contact"))
+    nodes = "temp_fl_disc", "temp_fr_disc", "temp_fr_fluid", "temp_rl_disc"
+    present = {ROLE_INDEX[node]: 500_000 for node in nodes}
+
+    gap = advise_before(config, present, question)
+
+    couples = {"FL": ("disc",), "FR": ("disc", "fluid")}
+    assert asked == [(("FL", "FR"), present, couples, question)]
+    assert (gap.corners, gap.recordings, gap.points) == (("FL", "FR"), (), 0)
+    residual, prior, members, drives = gap.advice
+    assert len(residual) == 0
+    assert prior.tolist() == [1.0, 1.0, 1.0]
+    assert members == gap.members == question.among
+    assert drives == ["a drive"]
+
+    with pytest.raises(LogError, match="no role temp_<corner>_<node> is"):
+        advise_before(config, {}, question)
+
+
+def test_each_drive_of_the_menu_is_shown_and_has_the_noise_of_the_data(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noises: list[Any] = []
+    comparison = SimpleNamespace(
+        noise={"disc": "usual", "fluid": "usual"}, set_noise=noises.append
+    )
+    monkeypatch.setattr(
+        workflow, "candidate_drive", lambda name, *_: (name, f"the {name}")
+    )
+    monkeypatch.setattr(workflow, "compare", lambda *_: comparison)
+    monkeypatch.setattr(workflow, "directions", lambda _: np.eye(3)[:, :2])
+    monkeypatch.setattr(workflow, "prior_along", lambda *_: np.ones(2))
+    monkeypatch.setattr(
+        workflow,
+        "prospect",
+        lambda *of: Prospect("", of[2], 60.0, np.eye(3), {}),
+    )
+    shown: list[float] = []
+    question = Question(menu=("m13", "m15"))
+
+    found, prior = workflow._prospects(
+        *(target, {}, {}, question, shown.append),
+        noise={"fluid": "known"},  # type: ignore[dict-item]
+    )
+
+    assert shown == [0.5, 1.0]
+    assert [one.description for one in found] == ["the m13", "the m15"]
+    assert [one.jacobian.shape for one in found] == [(3, 2)] * 2
+    assert prior.tolist() == [1.0, 1.0]
+    assert noises == [{"disc": "usual", "fluid": "known"}] * 2
+
+
+@pytest.mark.parametrize("answer", get_args(Answer))
+def test_all_answers_but_nothing_have_found_something(answer: Answer) -> None:
+    assert NAMED.answered(answer, (), 0.9, "").found is (answer != "nothing")
+
+
+@pytest.mark.parametrize(
+    ("sure", "answer", "names", "probability", "reason"),
+    [
+        ("ab", "name", "ab", 0.8, "together they explain 75 %"),
+        ("b", "name", "b", naming.SURE, "and another one, perhaps a"),
+        ("", "undecided", "ab", 0.8, "several effects at once, in more than"),
+    ],
+)
+def test_of_several_those_are_named_that_are_sure(
+    sure: str, answer: str, names: str, probability: float, reason: str
+) -> None:
+    common = Naming("nothing", (), 0.0, (), {}, "", explained=0.75)
+    both = tuple(
+        Candidate(name, 1.0, 0.1, 50.0, 40.0, 0.1) for name in ("a", "b")
+    )
+
+    found = naming._together(common, JointEffects(both, None, 0.8, (*sure,)))
+
+    assert (found.answer, found.names) == (answer, (*names,))
+    assert found.probability == probability
+    assert found.reason.startswith(reason)
