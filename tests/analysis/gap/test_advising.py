@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -280,6 +281,11 @@ def test_odds_and_advantage_of_the_true_one() -> None:
     assert judge._advantage(logs) == pytest.approx(np.log(3.0))
     judge._which = np.ones(worlds, int)
     assert judge._advantage(logs) == pytest.approx(-np.log(3.0))
+    # each world has its own true one
+    judge._which = np.arange(worlds) % 2
+    logs[:, ::2] *= 2.0
+    half = 0.5 * (2.0 - 1.0) * np.log(3.0)
+    assert judge._advantage(logs) == pytest.approx(half)
 
 
 def test_so_many_are_asked_about_as_can_be_told_apart() -> None:
@@ -310,3 +316,29 @@ def test_a_drive_is_predicted_as_it_would_be_read(config: Config) -> None:
         np.interp(found["disc"].time_s[1:], whole.time_s, whole.temperature_k),
         abs=6.0,
     )
+
+
+def test_a_drive_shows_what_each_would_do_on_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those that change nothing are left out."""
+    made = SimpleNamespace(name="m01", duration_s=90.0)
+    comparison: Any = SimpleNamespace(
+        recordings=[SimpleNamespace(drive=made)], start="start"
+    )
+    jacobian = np.ones((4, 2))
+    monkeypatch.setattr(advising, "sensitivities", lambda *of: (of, jacobian))
+    monkeypatch.setattr(
+        advising,
+        "signature_of",
+        lambda of, name, base: None if name == RIVAL else (of, name, base),
+    )
+
+    found = prospect(comparison, (TRUE, RIVAL), "what it is")
+
+    assert (found.drive, found.description) == ("m01", "what it is")
+    assert found.duration_s == 90.0
+    assert found.jacobian is jacobian
+    assert found.signatures == {
+        TRUE: (comparison, TRUE, (comparison, "start"))
+    }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from bstm_daemon.analysis.gap.signatures import (
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.identify.writing import write_changed
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
+from bstm_daemon.analysis.statistics.evidence import FREE
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -110,6 +112,30 @@ def test_the_hidden_term_is_first_and_of_its_size(
     assert found[0].name == PREFIX + text
     size = comparison.sizes[found[0].name] * found[0].strength
     assert size == pytest.approx(1.5, rel=0.1)
+
+
+def test_a_term_is_ranked_at_its_best_size() -> None:
+    """With a free prior on its strength; evidence is paid for its words."""
+    rng = np.random.default_rng(4)
+    one, two, noise = rng.normal(0.0, 1.0, (3, 200))
+    terms = [read("disc to air"), read("fluid to air, wet")]
+    residual = -3.0 * two + 0.1 * noise
+    search: Any = SimpleNamespace(known=SimpleNamespace(residual=residual))
+    columns = np.column_stack((one, two))
+
+    project: Any = lambda of: of  # noqa: E731
+    found = Search.ranked(search, terms, columns, project)
+
+    best, second = found[0]
+    assert second.path == terms[1].path
+    precision = two @ two + FREE**-2
+    strength = -(two @ residual) / precision
+    assert second.size == pytest.approx(strength * terms[1].size)
+    assert best == pytest.approx(
+        0.5 * strength**2 * precision
+        - 0.5 * np.log(precision * FREE**2)
+        - cost(terms[1])
+    )
 
 
 def test_each_clause_costs(target: Target) -> None:

@@ -499,3 +499,14 @@ def test_probabilities_of_candidates_and_of_nothing() -> None:
         {"": 1 / 3, "a": 1 / 2, "b": 1 / 6}
     )
     assert probabilities([]) == {"": 1.0}
+
+
+def test_what_would_be_detected_is_told_of_small_signatures_too() -> None:
+    """3.5 deviations of noise: of the size that the residual has not."""
+    column = 0.01 * np.ones(100)
+    one = Signature("a", column, 0.0 * column, column, either_sign=True)
+    project = Projector(np.zeros((100, 0)), np.zeros(0))
+
+    found = weigh(project, np.zeros(100), one)
+
+    assert found.reach == pytest.approx(3.5 / 0.1)

@@ -9,16 +9,22 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.advising import samples_of
-from bstm_daemon.analysis.gap.force_balance import COLD_C, drag_n, forces
+from bstm_daemon.analysis.gap.force_balance import (
+    COLD_C,
+    _motion_n,
+    drag_n,
+    forces,
+)
 from bstm_daemon.analysis.gap.heat_only import _at_bound, find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, recorded
-from bstm_daemon.analysis.matching.drives import Drive
+from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.errors import LogError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.model.effects.catalogue import effect_class
+from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
@@ -70,6 +76,38 @@ def test_a_strength_at_its_bound_is_told(
     strength = bounds.lower + share * (bounds.upper - bounds.lower)
 
     assert _at_bound("friction_fade", strength) is at_bound
+
+
+@pytest.mark.parametrize("slope", ["flat", "accelerometer"])
+def test_the_force_of_a_drive_is_its_equation_of_motion(slope: str) -> None:
+    """Eq 4.11 on a car that slows evenly, by speed or accelerometer."""
+    config, present = car()
+    heat = config.heat.model_copy(update={"slope": slope})
+    config = config.model_copy(update={"heat": heat})
+    steps = 60
+    speed = 30.0 - 2.0 * GRID_S * np.arange(steps)
+    inputs = np.zeros((steps, 4, len(CHANNELS)))
+    drive = Drive("a", 0.0, ("FL", "FR", "RL", "RR"), inputs, {})
+    held = {"powertrain_torque": 400.0, "acceleration_longitudinal": -1.5}
+    stamps = np.arange(steps) * round(1e6 * GRID_S)
+    events = Events(
+        np.concatenate([stamps + 1] * 2),
+        np.repeat([ROLE_INDEX[name] for name in held], steps),
+        np.repeat([*held.values()], steps),
+    )
+    recording = Recording(drive, present, events, inputs)
+
+    force, has_accelerometer, known = _motion_n(recording, config, speed)
+
+    car_of = Vehicle.of_config(config.vehicle)
+    drag = (car_of.quadratic * speed + car_of.linear) * speed + car_of.constant
+    inertia = -2.0 * (car_of.mass_kg + car_of.rotating_mass_kg)
+    if slope == "accelerometer":
+        inertia = -1.5 * car_of.mass_kg - 2.0 * car_of.rotating_mass_kg
+    wanted = 400.0 / config.vehicle.wheel_radius_m - drag - inertia
+    assert force == pytest.approx(wanted)
+    assert has_accelerometer is (slope == "accelerometer")
+    assert known
 
 
 def test_pads_that_rub_brake_by_their_torque_while_released() -> None:

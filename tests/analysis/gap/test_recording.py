@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -171,3 +173,21 @@ def test_a_trial_of_a_law_takes_its_temperature_less_often(
     # of the heat so far, which is what temperatures show
     worst = np.abs(np.cumsum(off, axis=0)).max()
     assert 0.0 < worst < 0.1 * np.abs(np.cumsum(change, axis=0)).max()
+
+
+def test_a_shorter_row_of_inputs_goes_on_as_it_ends() -> None:
+    drive: Any = range(5)
+    short: Any = range(2)
+    rows = np.arange(6.0).reshape(3, 2)
+
+    longer = module._like(drive, rows)
+
+    assert longer.tolist() == [[0, 1], [2, 3], [4, 5], [4, 5], [4, 5]]
+    assert module._like(short, rows).tolist() == rows[:2].tolist()
+
+
+def test_no_step_is_marched_of_no_row() -> None:
+    coarse: Any = SimpleNamespace(rows=array("d"), _width=3)
+    one: Any = ("a batch", ("FL",))
+
+    assert module._Coarse._march(coarse, [one], 0, 0) == (array("d"),)

@@ -17,15 +17,17 @@ from bstm_daemon.analysis.gap.workflow import (
     STEPS,
     Question,
     advise_before,
+    compare,
     find_gap,
 )
+from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from bstm_daemon.analysis.matching.tunables import Target
+    from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.config.sections import Config
 
 ORDER = ("locate", "sensed", "search", "fit", "show", "map")
@@ -112,13 +114,17 @@ def test_nothing_is_done_beyond_what_is_asked_for(
     steps: Callable[..., tuple[Any, list[str]]],
     until: str,
     done: Sequence[str],
+    config: Config,
+    made: Callable[..., Recording],
 ) -> None:
+    points = compare(Target(config, ("FL",)), [made()]).edges[-1]
+
     gap, found = steps(NAMED, until)
 
     assert until in STEPS
     assert found == [*done]
     assert gap.recordings == ("made",)
-    assert gap.points > 100
+    assert gap.points == points
     assert gap.located == "a map"
     assert gap.naming is (None if until == "locate" else NAMED)
     is_adopted = until in {"adopt", "show"}
