@@ -15,8 +15,10 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     SCALED,
     Shown,
     _errors,
+    _shrink,
 )
 from bstm_daemon.analysis.gap.workflow import find_gap
+from bstm_daemon.analysis.statistics.series import white_noise
 from bstm_daemon.report.gap import gap_text
 
 if TYPE_CHECKING:
@@ -132,3 +134,32 @@ def test_errors_of_a_node_are_those_of_its_own_part() -> None:
         {CONFIGURED: -6.0, EXTENDED: 5.0}
     )
     assert found.peak_late_s == {CONFIGURED: 10.0, EXTENDED: -10.0}
+
+
+def test_a_gap_shrinks_by_what_is_left_beside_the_noise() -> None:
+    """Of the series asked for, the noise of each point taken off."""
+    rng = np.random.default_rng(6)
+    time_s = np.arange(0.0, 4000.0, 10.0)
+    count = len(time_s)
+    smooth = 400.0 + 0.01 * time_s
+    series = [
+        SimpleNamespace(
+            time_s=time_s,
+            measured_k=smooth + rng.normal(0.0, white_k, count),
+        )
+        for white_k in (1.0, 0.0)
+    ]
+    there: Any = SimpleNamespace(series=series, edges=[0, count, 2 * count])
+    before = np.concatenate((np.full(count, 5.0), np.full(count, 9.0)))
+    apart = {SCALED: before, EXTENDED: np.full(2 * count, 2.0)}
+
+    found = _shrink(there, apart, SCALED, [0])
+    second = _shrink(there, apart, SCALED, [1])
+
+    variance = white_noise(series[0].measured_k) ** 2
+    assert 0.7 < variance < 1.4
+    wanted = np.sqrt((25.0 - variance) / (4.0 - variance))
+    assert found.factor == pytest.approx(wanted)
+    # each block is as the others
+    assert (found.lower, found.upper) == pytest.approx((wanted, wanted))
+    assert second.factor == pytest.approx(4.5)

@@ -191,3 +191,17 @@ def test_no_step_is_marched_of_no_row() -> None:
     one: Any = ("a batch", ("FL",))
 
     assert module._Coarse._march(coarse, [one], 0, 0) == (array("d"),)
+
+
+def test_nothing_is_marched_where_no_friction_fades(config: Config) -> None:
+    """A drive that is heated anew needs its temperatures for friction only."""
+    present = present_roles(
+        load_vehicle(shipped_file("config/example_vehicle.toml"))[1]
+    )
+    fading = with_effects(config, effect_entries({"friction_fade": 1.0}))
+
+    plain, hot = (module._Heating(one, present) for one in (config, fading))
+
+    assert (plain.batches, plain._coupling.coupled) == ([], False)
+    assert len(hot.batches) > 0
+    assert hot._coupling.coupled

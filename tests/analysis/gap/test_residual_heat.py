@@ -66,6 +66,15 @@ def test_the_map_says_where_and_when(
     assert "pad_front" in {first.node, first.other}
     assert first.regime in {"parked", "driving"}
     assert str(first).endswith(first.regime)
+    # drags of 2.5 and 3 bar, a stop of 10 bar, coasting in between
+    pressures = {cell.bin for cell in found.by_pressure}
+    assert pressures == {"< 2 bar", "2 to 10 bar"}
+    speeds = {cell.bin for cell in found.by_speed}
+    assert len(speeds) > 2
+    assert {cell.bin for cell in found.by_time} == {
+        "first half",
+        "second half",
+    }
 
 
 def test_windows_have_the_regime_of_most_of_them(
