@@ -11,6 +11,7 @@ import pytest
 from bstm_daemon.channels import CHANNELS, FLAGS, VEHICLE_CHANNELS
 from bstm_daemon.model.heat.sample_pass import (
     BACK,
+    DONE,
     JUMP,
     LOST,
     SETTLE,
@@ -44,6 +45,8 @@ class Run:
     times: array[int] = field(default_factory=lambda: array("q"))
     codes: list[int] = field(default_factory=list)
     silences: list[tuple[int, int]] = field(default_factory=list)
+    code: int = DONE
+    """What the last call has returned."""
 
     def __post_init__(self) -> None:
         """Begin before the first sample."""
@@ -86,6 +89,7 @@ class Run:
                 self.state.numbers, self.state.flags, times, roles, values,
                 rows, vehicle, closed, first,
             )  # fmt: skip
+        self.code = code
         self.rows.extend(rows[: steps * corners * len(CHANNELS)])
         self.vehicle.extend(vehicle[: steps * len(VEHICLE_CHANNELS)])
         self.times.extend(closed[:steps])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bstm_daemon.channels import CHANNELS, VEHICLE_CHANNELS
 from bstm_daemon.model.heat.memory import SampleState
-from bstm_daemon.model.heat.sample_pass import BACK, JUMP, LOST, SETTLE
+from bstm_daemon.model.heat.sample_pass import BACK, DONE, JUMP, LOST, SETTLE
 from bstm_daemon.model.heat.sample_plan import PlanNumbers
 from bstm_daemon.native import layout
 from bstm_daemon.roles import ROLES
@@ -98,6 +98,8 @@ def test_one_odd_stamp_is_dropped(run: Run) -> None:
     """A single stamp far off, both ways, repeated or not."""
     for odd in (-100 * SECOND, 2 * HOUR, 2 * HOUR, 10**17, 2**61, -(2**62)):
         run.feed([(odd, "vehicle_speed", 99.0)])
+        # the call is done, though its last sample was not taken
+        assert run.code == DONE
         run.feed([(1_010_000, "vehicle_speed", 10.0)])
     assert run.count("dropped") == 6
     assert run.count("jumps") == 0
