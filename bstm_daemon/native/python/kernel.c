@@ -176,7 +176,6 @@ static const char *bind(Pass *p, Py_buffer *view)
     p->rows = view[8].buf;
     p->vehicle_rows = view[9].buf;
     p->row_times = view[10].buf;
-    p->steps = 0;
     return NULL;
 }
 
