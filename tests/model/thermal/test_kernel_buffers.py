@@ -19,7 +19,11 @@ from bstm_daemon.model.thermal.network import (
     mean,
     value,
 )
-from bstm_daemon.model.thermal.program import COUNTS, compile_network
+from bstm_daemon.model.thermal.program import (
+    COUNTS,
+    SECTIONS,
+    compile_network,
+)
 from bstm_daemon.model.thermal.table import Table
 
 if TYPE_CHECKING:
@@ -102,6 +106,46 @@ def test_malformed_ints(
     except ValueError as error:
         assert str(error)  # noqa: PT017  (either outcome is right)
     assert set(call[6][6 * STEPS :]) == {1234.5}
+
+
+LIMITS: dict[str, tuple[int | str, int | str]] = {
+    "node_table": (-1, "tables"),
+    "node_input": (-1, "inputs"),
+    **dict.fromkeys(("link_a", "link_b", "source_node"), (0, "nodes")),
+    "link_entry": (-1, "entries"),
+    "memory_kind": (0, 2),
+    "use_factor": (0, "factors"),
+    "factor_kind": (0, 4),
+    **dict.fromkeys(("factor_a", "factor_b"), (0, "slots")),
+    "factor_table": (-1, "tables"),
+    **dict.fromkeys(("pivot_node", "entry_row"), (0, "nodes")),
+    **dict.fromkeys(("operation_left", "operation_right"), (0, "entries")),
+    "operation_target": ("nodes", "entries"),
+}
+"""Least index of each section, and the count that is one too many."""
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_each_index_is_of_what_there_is(compiled: Kernel, name: str) -> None:
+    counts = dict(zip(COUNTS, PROGRAM.ints, strict=False))
+    counts["slots"] = sum(counts[of] for of in ("nodes", "memories", "inputs"))
+    begins, at = {}, len(COUNTS)
+    for section in SECTIONS:
+        begins[section] = at + 1
+        at += 1 + PROGRAM.ints[at]
+    first = begins[name]
+    size = PROGRAM.ints[first - 1]
+    assert size > 0
+    least, past = LIMITS[name]
+    lowest = least if isinstance(least, int) else -counts[least]
+    highest = past if isinstance(past, int) else counts[past]
+
+    for place in (first, first + size - 1):
+        for number in (lowest - 1, highest):
+            call = arguments()
+            call[0][place] = number
+            with pytest.raises(ValueError, match="an index is out of range"):
+                compiled.march(*call)
 
 
 @pytest.mark.parametrize("index", range(1, len(COUNTS)))

@@ -93,7 +93,13 @@ NEGATIVE = value("a", Table(0.0, 1.0, (1.0, -1.0)))
             "memory 'm'",
         ),
         (
-            bar(A, memories=(Memory("m", "latch", float("nan"), ()),)),
+            bar(
+                A,
+                memories=(
+                    Memory("good", "latch", 1.0, ()),
+                    Memory("m", "latch", float("nan"), ()),
+                ),
+            ),
             "memory 'm'",
         ),
     ],
