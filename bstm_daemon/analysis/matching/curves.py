@@ -30,6 +30,8 @@ def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
     couples = drive.couples(
         corner, {node.name for node in programs[0][1].network.nodes}
     )
+    if not couples:
+        return []
     before, after = (
         march(
             [program], drive, corner, power_w=drive.power_w(corner, [config])

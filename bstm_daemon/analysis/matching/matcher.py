@@ -237,7 +237,6 @@ def _with_additions(
     plain = found[0]
     trial = with_contact(target, plain.drives)
     if only or not plain.verdict or trial is None:
-        show(1.0)
         return found
     (more,) = _match(
         *(trial, readings, only, lambda one: show(0.5 + 0.5 * one)),

@@ -493,4 +493,5 @@ def over_targets(
                 progress((number + share) / len(targets))
 
         found.append(work(target, show))
+        show(1.0)
     return found

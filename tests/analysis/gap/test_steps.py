@@ -13,6 +13,7 @@ from bstm_daemon.analysis.gap.advising import Prospect
 from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.joint_effects import JointEffects
 from bstm_daemon.analysis.gap.naming import Answer, Naming
+from bstm_daemon.analysis.gap.signatures import Linearised
 from bstm_daemon.analysis.gap.workflow import (
     STEPS,
     Question,
@@ -52,8 +53,8 @@ def steps(
 
             return work
 
-        known = SimpleNamespace(
-            silent=("shim_contact",), jacobian=np.zeros((3, 5))
+        known = Linearised(
+            *(np.zeros(3), np.zeros((3, 5)), (), ("shim_contact",), ())
         )
         shown = SimpleNamespace(against=lambda _: None, better=True)
         extended = SimpleNamespace(strengths={"gap_conduction": 1.2})
@@ -78,19 +79,9 @@ def steps(
                 or ("advice", *members)
             ),
         )
-        monkeypatch.setattr(
-            workflow,
-            "replace",
-            lambda one, **new: (
-                SimpleNamespace(**{**vars(one), **new})
-                if one is known
-                else dataclass_replace(one, **new)
-            ),
-        )
         (gap,) = find_gap(config, [made()], until=until, question=question)
         return gap, done
 
-    dataclass_replace = workflow.replace
     return run
 
 

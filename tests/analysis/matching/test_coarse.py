@@ -183,8 +183,7 @@ def test_what_the_search_leaves_is_noise_of_each_point(
     assert found.reading is readings[1]
     heat = found.target.config.heat
     assert heat.derivative_filter_s == 0.02
-    values = {key: found.target.setting(key) for key in (MASS, DRAG)}
-    assert values[MASS] == pytest.approx(0.4, rel=0.1)
+    assert found.target.setting(MASS) == pytest.approx(0.4, rel=0.1)
     (noise,) = found.noise.values()
     left_k = noise.white_k / COHERENT
     assert 0.3 < left_k < 8.0

@@ -223,15 +223,18 @@ def test_a_part_begins_where_it_is_cut(drive: Drive) -> None:
     assert drive.part(0, len(drive)) is drive
 
 
-def test_drives_are_read_in_order_each_once(log: Path) -> None:
+def test_drives_are_read_in_order_each_once(log: Path, tmp_path: Path) -> None:
     config, signal_map = load_vehicle(EXAMPLE)
+    later = tmp_path / "later.log"
+    later.write_bytes(log.read_bytes())
+    logs = [log, later]
     shown: list[float] = []
 
-    found = read_drives([log, log], config, signal_map, progress=shown.append)
+    found = read_drives(logs, config, signal_map, progress=shown.append)
 
     # fused heat: what all of them taught is there from the first one on
     one, two = found
-    assert (one.name, two.name) == ("short.log", "short.log")
+    assert (one.name, two.name) == ("short.log", "later.log")
     assert shown.count(1.0) == 4
     once = read_drive(log, config, signal_map)
     assert once.learned is not None
@@ -239,7 +242,7 @@ def test_drives_are_read_in_order_each_once(log: Path) -> None:
 
     heat = config.heat.model_copy(update={"mode": "ff"})
     plain = config.model_copy(update={"heat": heat})
-    one, two = read_drives([log, log], plain, signal_map)
+    one, two = read_drives(logs, plain, signal_map)
     assert np.array_equal(one.inputs, two.inputs, equal_nan=True)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -63,6 +64,9 @@ PLANS = st.fixed_dictionaries(
 )
 
 
+CORNER = re.compile(r"_[fr][lr](?=_|$)")
+"""Of the name of a role that each corner has."""
+
 FAULTS: dict[str, Callable[[float, float], float]] = {
     "stuck": lambda _, last: last,
     "zero": lambda *_: 0.0,
@@ -82,7 +86,7 @@ class Drive:
     """A drive that holds together, with defects, from one seed.
 
     ``faulty`` is the share of the roles that fail for good at some time;
-    those that are alike, as four wheels, do so *together* or each alone.
+    those of the four corners do so *together* or each alone.
     Those of ``stuck`` stay what they are at a braking in mid-drive.
     """
 
@@ -122,7 +126,7 @@ class Drive:
             altitude_m += 1e-6 * self.step_us * grade * speed
             force = mass_kg * (rate + 9.81 * (0.014 + grade)) + 4.0 * speed
             braking = max(-rate - 0.3, 0.0) if speed > 0.0 else 0.0
-            if step > self.steps // 3 and braking > 1.0:
+            if self.stuck and step > self.steps // 3 and braking > 1.0:
                 faults.setdefault(self.stuck, (step, FAULTS["stuck"]))
             held = {
                 "speed": speed * wheels,
@@ -160,7 +164,7 @@ class Drive:
 
     def _kind(self, role: int) -> str:
         name = ROLES[role].name
-        return name.rpartition("_")[0] if self.together else name
+        return CORNER.sub("", name) if self.together else name
 
 
 DRIVES = st.builds(
