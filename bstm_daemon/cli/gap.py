@@ -196,10 +196,6 @@ def _by_forces(
         raise UsageError(msg)
     if not command.args.anyway:
         check_mass(command.args.config)
-    what = "pressure against motion"
-    for one in (*recordings, *held_out):
-        have = one.drive.roles, one.present
-        needs.check_inputs(one.name, *have, needs.INPUTS["ff"], what)
     with Progress("gap") as progress:
         progress.show(0.1)
         gap = find_force_gap(command.config, recordings, held_out)

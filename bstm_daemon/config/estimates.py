@@ -91,6 +91,10 @@ class MatchedConfig(Section):
     """likewise, share of the rise above the air"""
     form: dict[str, float] = {}
     """the same as errors of values and of strengths of effects and heats"""
+    forces: dict[str, float] = {}
+    """strengths by which the forces of pressure and motion differed"""
+    forces_sd: dict[str, Positive] = {}
+    """their standard deviations"""
     drives: Annotated[int, Field(ge=1)] = 1
     """fitted drives"""
     left_out: str = ""
@@ -107,6 +111,10 @@ class MatchedConfig(Section):
         require(
             all(row[-1] > 0.0 for row in self.factor),
             "the last number of each row of 'factor' must be above 0",
+        )
+        require(
+            self.forces.keys() == self.forces_sd.keys(),
+            "'forces' and 'forces_sd' need the same keys",
         )
 
 

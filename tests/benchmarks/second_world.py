@@ -54,7 +54,7 @@ CONTROLS: Final = (
 RELEASE_SEEDS: Final = range(500, 1000)
 
 RIGHT: Final[dict[str, set[str]]] = {
-    "mu_fade": {"friction_fade"},
+    "mu_fade": {"friction_fade", "change.effect.friction_fade.strength"},
     "mu_progressive": {"friction_history", "friction_in_stop"},
     "pad_half_worn": {
         *("pad_wear", "change.heat_into_pads", "change.lining_capacity"),

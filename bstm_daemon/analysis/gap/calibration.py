@@ -18,6 +18,7 @@ from bstm_daemon.analysis.gap.changes import is_change, is_listed
 from bstm_daemon.analysis.gap.comparison import Comparison, with_effects
 from bstm_daemon.analysis.gap.fitting import NINETY, askable, directions, fit
 from bstm_daemon.analysis.gap.form import with_form
+from bstm_daemon.analysis.gap.heat_only import learned_forces
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.searching import search, starts
@@ -180,7 +181,18 @@ class Calibration:
         comparison = self._comparison(match, known)
         # of effects alone, where nothing was simulated for a search
         comparison.trials = {}
-        return with_form(known, comparison, self._simulated(match, comparison))
+        known = with_form(
+            known, comparison, self._simulated(match, comparison)
+        )
+        forces = learned_forces(
+            comparison.target.config, comparison.recordings
+        )
+        return known.model_copy(
+            update={
+                "forces": {name: a for name, (a, _) in forces.items()},
+                "forces_sd": {name: sd for name, (_, sd) in forces.items()},
+            }
+        )
 
     def _comparison(self, match: Match, known: MatchedConfig) -> Comparison:
         config = match.after.config.model_copy(update={"matched": [known]})

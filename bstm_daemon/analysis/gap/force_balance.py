@@ -5,6 +5,8 @@ what the motion says (Feed-Back, Eq 4.11) differ where either lacks something.
 Motion counts with the brakes released, too: there both must be nothing, which
 is what parts an error of the motion from one of the friction. Friction as a
 whole, the resistances and the body's pitch are the tunables of the residual.
+What differed on the drives of the car's match is taken off: its linings have
+another law of friction, and its sensors their errors.
 """
 
 from collections.abc import Sequence
@@ -13,9 +15,12 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import trials
 from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.form import DAILY
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.recording import Recording
+from bstm_daemon.analysis.gap.signatures import candidates
 from bstm_daemon.analysis.matching.drives import GRID_S
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.problem import Series
@@ -27,8 +32,10 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.effect import Effect
+from bstm_daemon.model.effects.entries.friction_in_stop import RELEASE_S
 from bstm_daemon.model.effects.model import corrections_by_role
 from bstm_daemon.model.heat.feed_back import Vehicle
+from bstm_daemon.model.heat.needs import INPUTS, check_inputs
 from bstm_daemon.roles import CORNERS, ROLE_INDEX
 from bstm_daemon.units import GRAVITY_MS2, KELVIN_OFFSET
 
@@ -278,7 +285,34 @@ def unpressed_n(
     return np.asarray(effect.strength * found)
 
 
+def held_n(
+    effect: Effect,
+    recording: Recording,  # noqa: ARG001
+    part: Forces,
+    config: Config,  # noqa: ARG001
+) -> Column:
+    """Return what friction gains while the brake is held.
+
+    The memory of a window is that of its middle; a window that is braked in
+    part holds and releases by its share.
+    """
+    seconds = np.gradient(part.time_s)
+    rate = part.braked / effect["time_s"]
+    fall = rate + (1.0 - part.braked) / RELEASE_S
+    at_rest = rate / fall
+    held = np.zeros(len(seconds))
+    now = 0.0
+    for i, (ends, half) in enumerate(
+        zip(at_rest, np.exp(-0.5 * fall * seconds), strict=True)
+    ):
+        held[i] = ends + (now - ends) * half
+        now = ends + (held[i] - ends) * half
+    gained = effect.strength * effect["rise"]
+    return np.asarray(gained * held * part.whole_n)
+
+
 PATHS: Final = {
+    "friction_in_stop": held_n,
     "residual_drag": drag_n,
     "friction_history": bedded_n,
     "brake_without_pressure": unpressed_n,
@@ -317,10 +351,15 @@ QUICK_S: Final = 0.1
 """Of a braking's force: scatter of friction, and timing of the signals."""
 
 
+CHANGE: Final = 0.5
+"""Strength that the change of an effect of the model is tried at."""
+
+
 class ForceComparison:
     """Force residuals of recordings: pressure less motion.
 
-    Only windows count in which both are known.
+    Only windows count in which both are known. ``trials`` are effects of a
+    matched model that may have changed, by name.
     """
 
     def __init__(
@@ -329,8 +368,13 @@ class ForceComparison:
         """Take what is compared.
 
         Raises:
-            LogError: no window in which the motion shows a force.
+            LogError: a drive has no pressure or speed, or there is no window
+                in which the motion shows a force.
         """
+        what = "pressure against motion"
+        for one in recordings:
+            have = one.drive.roles, one.present
+            check_inputs(one.name, *have, INPUTS["ff"], what)
         self.config, self.recordings = config, tuple(recordings)
         self.vehicle = Vehicle.of_config(config.vehicle)
         self.parts = [forces(one, config) for one in recordings]
@@ -342,10 +386,12 @@ class ForceComparison:
                 "and torque or [heat] assume_powertrain_torque_nm"
             )
             raise LogError(msg)
-        self.base_n = self._residual(self.parts)
-        columns, self.prior = self._tunables()
+        self._columns: dict[str, Column] = {}
+        self._raw_n = self._residual(self.parts)
+        self.trials = trials(config, ()) if config.matched else {}
+        self.jacobian_n, self.prior = self._tunables()
+        self.base_n = self._raw_n + self._known_n()
         self.layout = self._layout()
-        self.jacobian_n = columns
 
     @property
     def knows_released(self) -> bool:
@@ -355,18 +401,59 @@ class ForceComparison:
             for one in self.recordings
         )
 
-    def changed_n(self, effect: EffectConfig) -> Column:
-        """Return what *effect* changes in the residual, (n,)."""
-        path = PATHS.get(effect.name)
+    def changed_n(self, name: str) -> Column:
+        """Return what *name* at strength 1 changes in the residual, (n,).
+
+        Args:
+            name: an effect, or one of the changes in ``trials``.
+        """
+        if name not in self._columns:
+            self._columns[name] = self._changed_n(name)
+        return self._columns[name]
+
+    def _changed_n(self, name: str) -> Column:
+        path = PATHS.get(name)
         if path is not None:
-            typical = effect_class(effect.name)(effect.parameters)
+            typical = effect_class(name)({"strength": 1.0})
             pairs = zip(self.recordings, self.parts, strict=True)
             return self._counted(
                 [path(typical, one, part, self.config) for one, part in pairs]
             )
-        config = with_effects(self.config, [effect])
+        trial, step = self.trials.get(name), 1.0
+        effects = [EffectConfig(name=name, parameters={"strength": 1.0})]
+        if trial is not None:
+            effects, step = trial.effects_at(CHANGE), CHANGE
+        config = with_effects(self.config, effects)
         parts = [forces(one, config) for one in self.recordings]
-        return self._residual(parts) - self.base_n
+        return (self._residual(parts) - self._raw_n) / step
+
+    def _known_n(self) -> Column:
+        """Return what the match knows of the residual, less than nothing.
+
+        What it does not know of that, and what differs from day to day, joins
+        the tunables.
+        """
+        known = next((m for m in self.config.matched if m.forces), None)
+        if known is None:
+            return np.zeros(len(self._raw_n))
+        there = {*candidates(self.config), *self.trials}
+        columns, priors = [self.jacobian_n], [*self.prior]
+        for name in sorted(there.intersection(known.forces)):
+            columns.append(self.changed_n(name)[:, None])
+            priors.append(known.forces_sd[name])
+        for name in sorted(there.intersection(DAILY)):
+            days = self._each_day(self.changed_n(name))
+            columns.append(np.column_stack(days))
+            priors += [DAILY[name]] * len(days)
+        self.jacobian_n = np.column_stack(columns)
+        self.prior = np.array(priors)
+        return np.asarray(
+            sum(
+                a * self.changed_n(name)
+                for name, a in known.forces.items()
+                if name in there
+            )
+        )
 
     def _residual(self, parts: Sequence[Forces]) -> Column:
         return self._counted([one.whole_n - one.motion_n for one in parts])
@@ -383,12 +470,13 @@ class ForceComparison:
     def _tunables(self) -> tuple[Column, Column]:
         speed, mass = self.column("speed_ms"), self.vehicle.mass_kg
         columns = [
-            self.column("whole_n"),
+            *self._each_day(self.column("whole_n")),
             self.vehicle.quadratic * speed**2,
             np.full(len(speed), self.vehicle.constant),
             self.vehicle.linear * speed,
         ]
-        priors = [FRICTION, RESISTANCE, RESISTANCE, 2.0 * RESISTANCE]
+        priors = [FRICTION] * len(columns)
+        priors[-3:] = [RESISTANCE, RESISTANCE, 2.0 * RESISTANCE]
         if self.parts[0].has_accelerometer:
             columns.append(mass * self.column("rate_ms2"))
             priors.append(PITCH)
@@ -396,6 +484,12 @@ class ForceComparison:
             columns.append(self._engine_n(mass))
             priors.append(1.0)
         return np.column_stack(columns), np.array(priors)
+
+    def _each_day(self, column: Column) -> list[Column]:
+        """Return *column* (n,) for each drive alone."""
+        count = [int(own.sum()) for own in self.kept]
+        drive = np.repeat(np.arange(len(count)), count)
+        return [np.where(drive == i, column, 0.0) for i in range(len(count))]
 
     def _engine_n(self, mass: float) -> Column:
         """Return what the engine may brake, one standard deviation, (n,)."""

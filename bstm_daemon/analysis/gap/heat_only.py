@@ -14,6 +14,12 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import (
+    LARGEST,
+    either_sign,
+    is_change,
+    is_listed,
+)
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
 from bstm_daemon.analysis.gap.force_balance import ForceComparison, Forces
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
@@ -24,8 +30,10 @@ from bstm_daemon.analysis.gap.signatures import (
     candidates,
 )
 from bstm_daemon.analysis.identify.writing import Change, Entries
+from bstm_daemon.analysis.matching.learned import short
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.config.sections import Config, EffectConfig
+from bstm_daemon.errors import LogError
 from bstm_daemon.model.effects.catalogue import effect_class
 
 NOTHING_SEEN: Final = (
@@ -35,6 +43,9 @@ NOTHING_SEEN: Final = (
 
 SILENT_MS2: Final = 1e-3
 """An effect that nowhere changes the car's acceleration by more is silent."""
+
+LEARNED: Final = 1.0
+"""Prior standard deviation of the strengths that describe a matched car."""
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
@@ -78,11 +89,11 @@ class ForceGap:
     @property
     def adopted(self) -> tuple[str, ...]:
         """Names of what can be written."""
-        return tuple(self.strengths)
+        return tuple(filter(is_listed, self.strengths))
 
     @property
     def entries(self) -> Entries:
-        """What can be adopted, with its provenance."""
+        """What can be adopted, with its provenance: no change of a value."""
         effects = [
             EffectConfig(
                 name=name,
@@ -96,6 +107,7 @@ class ForceGap:
                 },
             )
             for name, strength in self.strengths.items()
+            if is_listed(name)
         ]
         return Entries(effects)
 
@@ -111,7 +123,7 @@ def find_force_gap(
         LogError: the motion shows no force.
     """
     comparison = ForceComparison(config, recordings)
-    known, unseen = _linearised(comparison)
+    known, unseen = linearised(comparison)
     naming = name_effect(comparison.layout, known)
     if naming.answer == "nothing":
         naming = replace(naming, reason=NOTHING_SEEN)
@@ -151,31 +163,83 @@ def find_force_gap(
     )
 
 
-def _linearised(
+def learned_forces(
+    config: Config, recordings: Sequence[Recording]
+) -> dict[str, tuple[float, float]]:
+    """Return by what pressure and motion differ on the drives of a match.
+
+    All effects on the heat at once, none of them believed: together they
+    describe the friction of this car and its sensors.
+
+    Args:
+        config: the vehicle as matched.
+        recordings: the drives.
+
+    Returns:
+        Strength and standard deviation by effect; none where a drive shows
+        no force, or no pressure.
+    """
+    matched = [one.model_copy(update={"forces": {}}) for one in config.matched]
+    config = config.model_copy(update={"matched": matched})
+    try:
+        comparison = ForceComparison(config, recordings)
+    except LogError:
+        return {}
+    known, _ = linearised(comparison)
+    if not known.signatures:
+        return {}
+    columns = np.column_stack([one.linear for one in known.signatures])
+    project = Projector(known.jacobian, comparison.prior)
+    terms = fit_terms(project, known.residual, columns, LEARNED)
+    deviations = np.sqrt(np.diag(terms.covariance))
+    return {
+        one.name: (short(strength), short(deviation))
+        for one, strength, deviation in zip(
+            known.signatures,
+            terms.strengths.tolist(),
+            deviations.tolist(),
+            strict=True,
+        )
+    }
+
+
+def linearised(
     comparison: ForceComparison,
 ) -> tuple[Linearised, dict[str, str]]:
+    """Return the whitened residual and what effects change in it.
+
+    And why an effect is not among them, by name.
+    """
     layout, mass = comparison.layout, comparison.vehicle.mass_kg
     found, unseen = [], {}
-    for name in candidates(comparison.config):
-        cls = effect_class(name)
-        if cls.kind != "heat":
-            unseen[name] = "moves temperatures only: needs a thermocouple"
+    for name in (*candidates(comparison.config), *comparison.trials):
+        if why := _unseen(comparison, name):
+            unseen[name] = why
             continue
-        if name == "brake_without_pressure" and not comparison.knows_released:
-            unseen[name] = "neither pressure nor brake switch on the bus"
-            continue
-        effect = EffectConfig(name=name, parameters={"strength": 1.0})
-        change = comparison.changed_n(effect)
+        change = comparison.changed_n(name)
         if float(np.abs(change).max()) < SILENT_MS2 * mass:
             unseen[name] = "changes no force of these drives"
             continue
         white = layout.whiten(change)
         found.append(
-            Signature(name, white, 0.0 * white, change, cls.either_sign)
+            Signature(name, white, 0.0 * white, change, either_sign(name))
         )
     residual = layout.whiten(comparison.base_n)
     jacobian = layout.whiten(comparison.jacobian_n)
     return Linearised(residual, jacobian, tuple(found), (), ()), unseen
+
+
+def _unseen(comparison: ForceComparison, name: str) -> str:
+    """Say why no force can show *name*, nothing where one can."""
+    if is_change(name):
+        return ""
+    if effect_class(name).kind != "heat":
+        return "moves temperatures only: needs a thermocouple"
+    if name == "brake_share":
+        return "leaves the force of the whole car as it is"
+    if name == "brake_without_pressure" and not comparison.knows_released:
+        return "neither pressure nor brake switch on the bus"
+    return ""
 
 
 def _strengths(
@@ -193,17 +257,24 @@ def _strengths(
     terms = fit_terms(project, known.residual, columns, FREE)
     strengths, deviations = {}, {}
     for i, name in enumerate(names):
-        bounds = effect_class(name).parameters()[0]
-        a = float(np.clip(terms.strengths[i], bounds.lower, bounds.upper))
+        least, most = _bounds(name)
+        a = float(np.clip(terms.strengths[i], least, most))
         noise = terms.covariance[i, i] ** 0.5
         strengths[name] = a
         deviations[name] = float(np.hypot(noise, FORM_ERROR * a))
     return strengths, deviations
 
 
-def _at_bound(name: str, strength: float) -> bool:
+def _bounds(name: str) -> tuple[float, float]:
+    if is_change(name):
+        return -LARGEST, LARGEST
     bounds = effect_class(name).parameters()[0]
-    return not bounds.lower < strength < bounds.upper
+    return bounds.lower, bounds.upper
+
+
+def _at_bound(name: str, strength: float) -> bool:
+    least, most = _bounds(name)
+    return not least < strength < most
 
 
 def _errors(
@@ -225,8 +296,7 @@ def _errors(
     for effects in ({}, strengths):
         apart = comparison.base_n
         for name, strength in effects.items():
-            one = EffectConfig(name=name, parameters={"strength": 1.0})
-            apart = apart + strength * comparison.changed_n(one)
+            apart = apart + strength * comparison.changed_n(name)
         tunables = project.nuisance(comparison.layout.whiten(apart))
         left = apart + comparison.jacobian_n @ tunables
         power = float(np.mean(left**2)) - white**2

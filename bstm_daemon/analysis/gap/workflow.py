@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from bstm_daemon.analysis.gap.fitting import (
     fit,
     prior_along,
 )
+from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
     contradicted,
@@ -127,13 +129,36 @@ def find_gap(
         LogError: no corner with a thermocouple.
     """
     targets = measured_targets(config, [one.drive for one in recordings])
+    by_forces = cache(lambda: _named_by_forces(config, recordings))
     return over_targets(
         targets,
         lambda target, report_share: _gap(
-            target, recordings, held_out, until, question, report_share
+            target,
+            recordings,
+            held_out,
+            until,
+            question,
+            report_share,
+            by_forces=by_forces,
         ),
         progress,
     )
+
+
+def _named_by_forces(
+    config: Config, recordings: Sequence[Recording]
+) -> Naming | None:
+    """Return what forces name that is new since the match, if they do."""
+    if not any(one.forces for one in config.matched):
+        return None
+    try:
+        naming = find_force_gap(config, recordings).naming
+    except LogError:
+        return None
+    if naming.answer != "name":
+        return None
+    reason = f"by forces, pressure against motion: {naming.reason}"
+    return replace(naming, reason=reason)
 
 
 def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
@@ -155,13 +180,15 @@ def compare(target: Target, recordings: Sequence[Recording]) -> Comparison:
     return Comparison(target, recordings, known_keys(target), noise)
 
 
-def _gap(
+def _gap(  # noqa: PLR0913
     target: Target,
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     until: str,
     question: Question,
     report_share: Callable[[float], None],
+    *,
+    by_forces: Callable[[], Naming | None],
 ) -> Gap:
     located = locate(target.config, recordings, target.corners)
     report_share(0.1)
@@ -182,6 +209,9 @@ def _gap(
         *(target.corners, names, points, located, naming, known.silent),
         matched=comparison.matched,
     )
+    if not naming.found and (named := by_forces()):
+        # motion heats whatever friction is: nothing to fit to temperatures
+        return replace(plain, naming=named)
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):

@@ -97,6 +97,8 @@ CONDUCTANCE: Final = f"{EFFECT}.{CONTACT}.conductance_w_m2k"
 """The effect whose conductance is matched instead of its strength: what cars
 have differs tenfold."""
 
+BRACKET_LOSS: Final = f"{EFFECT}.bracket_conduction.loss_w_k"
+
 MADE_IN_PADS: Final = (0.5, 0.8)
 """Largest share of the friction heat that the pads' side of the contact makes,
 and the prior of the factor that sets it, where the contact conducts: Eq 2.3
@@ -194,6 +196,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
         ),
         # rough faces: 1e3 to 1e4 W/m2K are known, and a tenth of it
         Tunable(CONDUCTANCE, 10.0, 2e4, 1.2, "W/(m2 K)"),
+        # the bracket's own wind and what the knuckle takes, which is warm
+        Tunable(BRACKET_LOSS, 0.05, 10.0, 0.7, "W/K"),
     )
 }
 """Every tunable by its key."""

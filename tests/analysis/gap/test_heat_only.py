@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -11,19 +12,32 @@ import pytest
 from bstm_daemon.analysis.gap.advising import samples_of
 from bstm_daemon.analysis.gap.force_balance import (
     COLD_C,
+    FRICTION,
+    ForceComparison,
     _motion_n,
     drag_n,
     forces,
+    held_n,
 )
-from bstm_daemon.analysis.gap.heat_only import _at_bound, find_force_gap
+from bstm_daemon.analysis.gap.form import DAILY
+from bstm_daemon.analysis.gap.heat_only import (
+    LEARNED,
+    _at_bound,
+    find_force_gap,
+    learned_forces,
+    linearised,
+)
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.files import shipped_file
 from bstm_daemon.model.effects.catalogue import effect_class
+from bstm_daemon.model.effects.entries.friction_in_stop import RELEASE_S
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.replay.columns import present_roles
 from bstm_daemon.roles import ROLE_INDEX
@@ -201,7 +215,7 @@ def test_what_forces_can_not_tell_is_said() -> None:
     found = find_force_gap(car()[0], [driven("idiada-step", {})])
 
     assert "thermocouple" in found.unseen["hub_conduction"]
-    assert "no force" in found.unseen["brake_share"]
+    assert found.unseen["brake_share"].startswith("leaves the force")
     assert found.seen.keys().isdisjoint(found.unseen)
     assert "mass_error" in found.seen.keys() | found.unseen.keys()
     assert set(found.seen) <= {one.name for one in found.naming.candidates}
@@ -256,3 +270,142 @@ def test_the_windows_do_not_depend_on_the_configuration() -> None:
     assert np.array_equal(one.first, two.first)
     assert np.array_equal(np.isnan(one.motion_n), np.isnan(two.motion_n))
     assert np.nanmax(two.motion_n) > np.nanmax(one.motion_n)
+
+
+def matched_to(
+    config: Config, forces: dict[str, tuple[float, float]]
+) -> Config:
+    """Return *config* with what a match learned of its forces."""
+    one = MatchedConfig(
+        corners=["FL"],
+        names=["thermal.disc_emissivity"],
+        values=[0.5],
+        factor=[[0.1]],
+        forces={name: a for name, (a, _) in forces.items()},
+        forces_sd={name: sd for name, (_, sd) in forces.items()},
+    )
+    return config.model_copy(update={"matched": [one]})
+
+
+def test_what_the_match_saw_is_taken_off_and_its_doubt_left_open() -> None:
+    config = car()[0]
+    recording = driven("idiada-step", {}, sensors="none")
+    plain = ForceComparison(config, [recording])
+    column = plain.changed_n("mass_error")
+
+    found = ForceComparison(
+        matched_to(config, {"mass_error": (0.4, 0.05), "gone": (1.0, 1.0)}),
+        [recording],
+    )
+
+    assert found.base_n == pytest.approx(plain.base_n + 0.4 * column)
+    days = [found.changed_n(name) for name in sorted(DAILY)]
+    own = found.jacobian_n[:, plain.jacobian_n.shape[1] :]
+    assert own == pytest.approx(np.column_stack([column, *days]))
+    assert found.prior == pytest.approx(
+        [*plain.prior, 0.05, *(DAILY[name] for name in sorted(DAILY))]
+    )
+    assert np.array_equal(found.layout.prior, found.prior)
+
+
+def test_friction_and_load_of_each_drive_are_its_own() -> None:
+    config = matched_to(car()[0], {"mass_error": (0.0, 0.05)})
+    one, two = (
+        driven("idiada-step", {}, sensors="none", seed=seed) for seed in (3, 4)
+    )
+
+    both = ForceComparison(config, [one, two])
+
+    first, second = (ForceComparison(config, [each]) for each in (one, two))
+    n = len(first.base_n)
+    of_first, of_second = both.jacobian_n[:, 0], both.jacobian_n[:, 1]
+    assert of_first[:n] == pytest.approx(first.jacobian_n[:, 0])
+    assert of_second[n:] == pytest.approx(second.jacobian_n[:, 0])
+    assert not of_first[n:].any()
+    assert not of_second[:n].any()
+    assert both.prior[:2] == pytest.approx([FRICTION, FRICTION])
+    last = both.jacobian_n[:, -1]
+    assert not last[:n].any()
+    assert last[n:] == pytest.approx(second.jacobian_n[:, -1])
+
+
+def test_friction_of_a_held_brake_rises_and_is_forgotten() -> None:
+    """As an exponential in the middle of each window, and a slower fall."""
+    effect = effect_class("friction_in_stop")(
+        {"strength": 2.0, "rise": 0.1, "time_s": 4.0}
+    )
+    braked = np.array([1.0] * 5 + [0.0] * 3 + [0.5] * 60)
+    part: Any = SimpleNamespace(
+        time_s=2.0 * np.arange(len(braked)),
+        braked=braked,
+        whole_n=np.full(len(braked), 1000.0),
+    )
+
+    found = held_n(effect, None, part, None)  # type: ignore[arg-type]
+
+    middle_s = 2.0 * np.arange(5) + 1.0
+    held = 1.0 - np.exp(-middle_s / 4.0)
+    assert found[:5] == pytest.approx(200.0 * held)
+    left = 1.0 - np.exp(-10.0 / 4.0)
+    fall = np.exp(-(2.0 * np.arange(3) + 1.0) / RELEASE_S)
+    assert found[5:8] == pytest.approx(200.0 * left * fall)
+    # half held, half released: where what it gains is what it forgets
+    ends = (0.5 / 4.0) / (0.5 / 4.0 + 0.5 / RELEASE_S)
+    assert found[-1] == pytest.approx(200.0 * ends)
+
+
+@pytest.mark.slow
+def test_a_car_of_another_friction_law_shows_only_what_is_new() -> None:
+    """Its match knows the law; without that it is named each time."""
+    config = car()[0]
+    learned = learned_forces(
+        config, [driven("rich", {"friction_pressure": 2.0})]
+    )
+    again = driven("rich", {"friction_pressure": 2.0}, seed=5)
+    hot = {"friction_pressure": 2.0, "friction_fade": 2.0}
+
+    of_law = find_force_gap(config, [again]).naming
+    known = matched_to(config, learned)
+    nothing = find_force_gap(known, [again]).naming
+    found = find_force_gap(known, [driven("rich", hot, seed=5)]).naming
+
+    assert of_law.names == ("friction_pressure",)
+    assert nothing.answer == "nothing"
+    assert (found.answer, found.names) == ("name", ("friction_fade",))
+    strength, deviation = learned["friction_pressure"]
+    assert strength == pytest.approx(2.0, rel=0.4)
+    assert 0.0 < deviation < LEARNED
+    # what was learned before does not count when it is learned anew
+    assert learned_forces(known, [again]).keys() == learned.keys()
+
+
+def test_effects_that_a_matched_model_has_can_change() -> None:
+    config = matched_to(car()[0], {})
+    entry = EffectConfig(name="friction_pressure", parameters={"strength": 1})
+    config = config.model_copy(update={"effect": [entry]})
+    recording = driven("idiada-step", {}, sensors="none")
+
+    comparison = ForceComparison(config, [recording])
+
+    (name,) = comparison.trials
+    assert name == "change.effect.friction_pressure.strength"
+    more = entry.model_copy(update={"parameters": {"strength": np.exp(0.35)}})
+    other = config.model_copy(update={"effect": [more]})
+    change = ForceComparison(other, [recording]).base_n - comparison.base_n
+    assert comparison.changed_n(name) == pytest.approx(change / 0.5)
+    found, unseen = linearised(comparison)
+    assert name in unseen.keys() | {one.name for one in found.signatures}
+    assert "friction_pressure" not in unseen
+
+
+def test_a_drive_without_pressure_or_force_teaches_nothing() -> None:
+    config, _ = car()
+    recording = driven("idiada-step", {}, sensors="none")
+    pressure = ROLE_INDEX["primary_pressure"]
+    blind = replace(
+        recording, drive=replace(recording.drive, roles=frozenset())
+    )
+
+    assert pressure in recording.present
+    assert learned_forces(config, [recording])
+    assert learned_forces(config, [recording, blind]) == {}

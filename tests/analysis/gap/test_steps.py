@@ -136,6 +136,49 @@ def test_nothing_is_fitted_where_nothing_is_named(
     assert gap.fit is None
 
 
+@pytest.mark.parametrize("answer", ["name", "nothing", "unknown", None])
+def test_forces_are_asked_where_temperatures_show_nothing(
+    steps: Callable[..., tuple[Any, list[str]]],
+    config: Config,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: Answer | None,
+) -> None:
+    """A clear name alone counts, of a car whose forces are known."""
+    done = []
+
+    def forces(*of: Any) -> Any:
+        done.append(of)
+        if answer is None:
+            msg = "no force"
+            raise LogError(msg)
+        naming = NAMED.answered(answer, ("friction_fade",), 0.99, "hot")
+        return SimpleNamespace(naming=naming)
+
+    monkeypatch.setattr(workflow, "find_force_gap", forces)
+    nothing = NAMED.answered("nothing", (), 0.6, "")
+
+    gap, found = steps(nothing, "show")
+    assert gap.naming is nothing
+    assert not done
+
+    known = SimpleNamespace(corners=(), forces={"friction_fade": 0.1})
+    monkeypatch.setitem(vars(config), "matched", [known])
+    named, _ = steps(NAMED, "name")
+    assert named.naming is NAMED
+    assert not done
+    gap, found = steps(nothing, "show")
+
+    assert len(done) == 1
+    assert found == [*ORDER[:3]]
+    if answer == "name":
+        assert gap.naming.names == ("friction_fade",)
+        assert gap.naming.reason.endswith("pressure against motion: hot")
+        assert gap.naming.found
+    else:
+        assert gap.naming is nothing
+    assert not gap.adopted
+
+
 def test_what_can_not_be_told_apart_is_advised_on(
     steps: Callable[..., tuple[Any, list[str]]],
 ) -> None:

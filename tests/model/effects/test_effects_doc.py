@@ -114,6 +114,7 @@ def test_units_are_those_that_names_end_with() -> None:
         "_per_k": "1/K",
         "_ms2": "m/s2",
         "_s_h": "s/h",
+        "_s_m": "s/m",
         "_ws_mk": "Ws/mK",
     }
     ends = sorted(units, key=len, reverse=True)

@@ -27,12 +27,12 @@ class BracketConduction(Effect):
         Parameter("pressed_rise", "1", 0.0, 3.0, 0.5, "of it, brake held"),
         Parameter("capacity_j_k", "J/K", 100.0, 5e3, 1150.0, "of the bracket"),
         Parameter("loss_w_k", "W/K", 0.0, 20.0, 1.0, "bracket, at rest"),
-        Parameter("loss_rise_ws_mk", "Ws/mK", 0.0, 2.0, 0.08, "with speed"),
+        Parameter("loss_rise_s_m", "s/m", 0.0, 2.0, 0.08, "of it, per m/s"),
     )
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the node ``bracket`` and its links."""
-        wind = rising_with_speed(self["loss_w_k"], self["loss_rise_ws_mk"])
+        wind = rising_with_speed(1.0, self["loss_rise_s_m"])
         held = Table(0.0, 1.0, (1.0, 1.0 + self["pressed_rise"]))
         return model.network.with_node(
             Node("bracket", self["capacity_j_k"])
@@ -44,5 +44,7 @@ class BracketConduction(Effect):
                 self.scaled("conductance_w_k"),
                 (value("brake_on", held),),
             ),
-            Link("bracket_loss", "bracket", "ambient", 1.0, (wind,)),
+            Link(
+                "bracket_loss", "bracket", "ambient", self["loss_w_k"], (wind,)
+            ),
         )
