@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from bstm_daemon.analysis.gap.adopting import written
-from bstm_daemon.analysis.gap.changes import is_change, is_listed
+from bstm_daemon.analysis.gap.changes import is_change, of_sensor
 from bstm_daemon.analysis.gap.comparison import Comparison, with_effects
 from bstm_daemon.analysis.gap.fitting import NINETY, askable, directions, fit
 from bstm_daemon.analysis.gap.form import with_form
@@ -34,7 +34,6 @@ from bstm_daemon.analysis.matching.workflow import Matched, match_logs
 from bstm_daemon.bus.signals.signal_map import SignalMap
 from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.config.sections import Config, EffectConfig
-from bstm_daemon.model.effects.catalogue import effect_class
 
 MOST_ROUNDS: Final = 3
 """Additions that are tried, one after the other."""
@@ -244,11 +243,6 @@ class Calibration:
             for corner in ((one.corner,) if is_change(name) else corners)
         ]
         return replace(step, added=name if effects else ""), effects
-
-
-def of_sensor(name: str) -> bool:
-    """Whether *name* is of what a sensor reads, which no match fits."""
-    return is_listed(name) and effect_class(name).kind == "measurement"
 
 
 def _known_before(match: Match) -> MatchedConfig:

@@ -95,6 +95,11 @@ def is_listed(name: str) -> bool:
     return not is_change(name) and not is_composed(name)
 
 
+def of_sensor(name: str) -> bool:
+    """Whether the candidate *name* is of what a sensor reads."""
+    return is_listed(name) and effect_class(name).kind == "measurement"
+
+
 def either_sign(name: str) -> bool:
     """Whether the candidate *name* can have either sign.
 

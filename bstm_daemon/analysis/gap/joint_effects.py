@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import are_twins
+from bstm_daemon.analysis.gap.changes import are_twins, of_sensor
 from bstm_daemon.analysis.gap.evidence import STRENGTHS, Candidate, weigh
 from bstm_daemon.analysis.gap.signatures import Linearised
 from bstm_daemon.analysis.statistics.evidence import (
@@ -28,6 +28,10 @@ NEXT_Z: Final = 4.2
 NEXT_SHARE: Final = 0.1
 """A further effect needs this log Bayes factor, these standard deviations
 beside the others, and this share of the first one's gain."""
+
+SENSOR_SHARE: Final = 0.3
+"""An error of a sensor beside an effect on the brake needs more: a large
+effect of another form leaves its own rate of change, as late sensors do."""
 
 MOST_EFFECTS: Final = 3
 THIRD_Z: Final = 6.0
@@ -102,6 +106,7 @@ class _Search:
         self._linearised = linearised
         self._alone = {one.name: one for one in found}
         self._first_gain = found[0].gain
+        self._of_sensor = of_sensor(found[0].name)
         self._by_name = {one.name: one for one in linearised.signatures}
 
     def beside(
@@ -137,10 +142,13 @@ class _Search:
 
     def plain(self, one: Candidate) -> bool:
         """Whether *one* is more than what the others' forms leave."""
+        share = NEXT_SHARE
+        if of_sensor(one.name) and not self._of_sensor:
+            share = SENSOR_SHARE
         return (
             one.log_evidence >= NEXT_EVIDENCE
             and one.z >= NEXT_Z
-            and one.gain >= NEXT_SHARE * self._first_gain
+            and one.gain >= share * self._first_gain
         )
 
 

@@ -14,7 +14,6 @@ from bstm_daemon.analysis.gap.calibration import (
     Calibration,
     Step,
     _against,
-    of_sensor,
 )
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.searching import search
@@ -157,12 +156,6 @@ def test_an_addition_must_gain_and_harm_no_drive(
     after: Match, why: str
 ) -> None:
     assert _against(left_out(10.0, 10.0, 10.0), after) == why
-
-
-def test_an_effect_on_what_a_sensor_reads_is_told_not_fitted() -> None:
-    assert of_sensor("clock_offset")
-    assert not of_sensor("gap_conduction")
-    assert not of_sensor("change.disc_mass")
 
 
 def test_a_match_that_gains_takes_the_place_of_the_one_before(

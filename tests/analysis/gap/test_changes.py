@@ -14,6 +14,7 @@ from bstm_daemon.analysis.gap.changes import (
     KINDS,
     STEP,
     factor_of,
+    of_sensor,
     said,
     trials,
 )
@@ -285,3 +286,9 @@ def test_what_the_form_lacks_is_taken_off_later_drives(
     plain = compare(matched, [made(lacking, "c", seed=3)])
     plain.trials = {}
     assert not np.any(form_k(plain, simulated))
+
+
+def test_an_effect_on_what_a_sensor_reads_is_told_not_fitted() -> None:
+    assert of_sensor("clock_offset")
+    assert not of_sensor("gap_conduction")
+    assert not of_sensor("change.disc_mass")

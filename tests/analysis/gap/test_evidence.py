@@ -375,6 +375,34 @@ def test_what_is_small_beside_the_first_is_not_added(
     assert found.leftover.z > 4.2
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "is_added"),
+    [
+        ("pad_wear", "clock_offset", False),
+        ("pad_wear", "disc_hat", True),
+        ("thermocouple_lag", "disc_hat", True),
+        ("thermocouple_lag", "thermocouple_offset", True),
+    ],
+)
+def test_a_late_sensor_beside_an_effect_must_be_plainer(
+    columns: dict[str, np.ndarray],
+    first: str,
+    second: str,
+    is_added: bool,  # noqa: FBT001
+) -> None:
+    """A fifth of the first one's gain is what another form leaves."""
+    a, b, *_ = (one / np.linalg.norm(one) for one in columns.values())
+    both = {first: 30.0 * a, second: 30.0 * (b - (a @ b) * a)}
+
+    found = searched(both, {first: 1.0, second: 0.42})
+
+    assert {one.name for one in found.chosen} == (
+        {first, second} if is_added else {first}
+    )
+    more = searched(both, {first: 1.0, second: 0.8})
+    assert {one.name for one in more.chosen} == {first, second}
+
+
 def test_a_twin_that_makes_up_for_the_form_is_not_added() -> None:
     """Late by a strength of 3, of which the course bends."""
     rng = np.random.default_rng(13)

@@ -180,3 +180,22 @@ def test_effects_are_plain_edits() -> None:
         text = (root / file).read_text("utf-8")
         for name in effect_names():
             assert name not in text
+
+
+def test_heat_of_the_hub_comes_to_the_bracket_by_the_knuckle(
+    make_spec: Callable[..., CornerSpec],
+) -> None:
+    """A share of that to the disc; to the caliper where no bracket is."""
+    spec = make_spec(thermal={})
+    plain = CornerModel(spec, build_corner(spec, INPUTS), True)
+    heat = entry("hub_heat", bracket_share=0.4)
+    bracket = entry("bracket_conduction")
+    for beside, node in (([], plain.caliper), ([bracket], "bracket")):
+        net = apply_effects(plain, [heat, *beside]).network
+        own, other = net.sources[-2:]
+        assert (own.name, own.node) == ("hub_heat", "disc")
+        assert (other.name, other.node) == ("knuckle_heat", node)
+        assert other.gain == pytest.approx(0.4 * own.gain)
+        assert other.factors == own.factors
+    net = apply_effects(plain, [entry("hub_heat")]).network
+    assert net.sources[-1].name == "hub_heat"
