@@ -45,7 +45,7 @@ def with_effect_values(
             changed = dict(one.parameters)
             if corner.name in corners:
                 changed |= {
-                    parameter: value
+                    parameter: _inside(effect, parameter, value)
                     for (effect, parameter), value in by_key.items()
                     if effect == one.name
                 }
@@ -61,3 +61,14 @@ def with_effect_values(
                 )
             )
     return config.model_copy(update={"effect": entries})
+
+
+def _inside(effect: str, parameter: str, value: float) -> float:
+    """Return *value* within the bounds of *parameter*.
+
+    The exponential of a bound's logarithm may round to beyond it.
+    """
+    (own,) = (
+        p for p in effect_class(effect).parameters() if p.name == parameter
+    )
+    return min(max(value, own.lower), own.upper)

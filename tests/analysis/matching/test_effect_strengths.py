@@ -258,3 +258,16 @@ def test_bounds_are_within_the_catalogue(name: str) -> None:
     # a value at its bound is still one that the effect takes
     assert one.lower <= exp(one.bounds()[0])
     assert exp(one.bounds()[1]) <= one.upper
+
+
+def test_a_strength_at_its_bound_stays_inside(extended: Target) -> None:
+    """The exponential of a bound's logarithm rounds to beyond it."""
+    key = strength_key("disc_caliper_radiation")
+    most = effect_class("disc_caliper_radiation").most_strength
+    beyond = float(np.exp(np.log(most)))
+    assert beyond > most
+
+    changed = extended.changed({key: beyond})
+
+    assert changed.value(TUNABLES[key]) == most
+    assert changed.changed({key: 0.5}).value(TUNABLES[key]) == 0.5
