@@ -18,7 +18,7 @@ def force_sentence(gap: ForceGap) -> str:
     ratio = gap.pressed_j / gap.motion_j if gap.motion_j else np.nan
     work = f"pressure shows {ratio:.2f} of the braking work by motion"
     parts = [work, words.cause(gap.naming)]
-    if gap.strengths:
+    if gap.adopted:
         where = "held-out drives" if gap.held_out else "the same drives"
         parts.append(
             f"with it the error of the acceleration on {where} goes from "
@@ -50,11 +50,10 @@ def force_lines(gap: ForceGap) -> list[str]:
         f"braking work: {work}",
         *words.naming_lines(gap.naming),
     ]
-    for name, strength in gap.strengths.items():
-        lines.append(
-            f"{name}: strength {strength:.2f} +- {gap.deviations[name]:.2f}"
-        )
-    if gap.strengths:
+    for name in gap.adopted:
+        strength, deviation = gap.strengths[name], gap.deviations[name]
+        lines.append(f"{name}: strength {strength:.2f} +- {deviation:.2f}")
+    if gap.adopted:
         kind = "held-out drives" if gap.held_out else "the same drives"
         lines.append(
             f"error of the car's acceleration on {kind}, without noise: "

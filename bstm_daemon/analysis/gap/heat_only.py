@@ -79,7 +79,7 @@ class ForceGap:
     @property
     def worse(self) -> bool:
         """Whether what can be written does not make the gap smaller."""
-        return bool(self.strengths) and self.after_ms2 >= self.before_ms2
+        return bool(self.adopted) and self.after_ms2 >= self.before_ms2
 
     @property
     def values(self) -> tuple[Change, ...]:
@@ -88,16 +88,16 @@ class ForceGap:
 
     @property
     def adopted(self) -> tuple[str, ...]:
-        """Names of what can be written."""
+        """Names of what can be written: effects, no changed values."""
         return tuple(filter(is_listed, self.strengths))
 
     @property
     def entries(self) -> Entries:
-        """What can be adopted, with its provenance: no change of a value."""
+        """What can be adopted, with its provenance."""
         effects = [
             EffectConfig(
                 name=name,
-                parameters={"strength": strength},
+                parameters={"strength": self.strengths[name]},
                 provenance={
                     "source": "bstm gap, forces",
                     "data": list(self.recordings),
@@ -106,8 +106,7 @@ class ForceGap:
                     **self.naming.provenance(name),
                 },
             )
-            for name, strength in self.strengths.items()
-            if is_listed(name)
+            for name in self.adopted
         ]
         return Entries(effects)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.advising import samples_of
+from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.force_balance import (
     COLD_C,
     FRICTION,
@@ -22,11 +23,13 @@ from bstm_daemon.analysis.gap.force_balance import (
 from bstm_daemon.analysis.gap.form import DAILY
 from bstm_daemon.analysis.gap.heat_only import (
     LEARNED,
+    ForceGap,
     _at_bound,
     find_force_gap,
     learned_forces,
     linearised,
 )
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.bus.signals.columns import Events
@@ -40,6 +43,7 @@ from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.effects.entries.friction_in_stop import RELEASE_S
 from bstm_daemon.model.heat.feed_back import Vehicle
 from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.report.gap_forces import force_text
 from bstm_daemon.roles import ROLE_INDEX
 from bstm_daemon.simulation import load_drive, simulate
 from bstm_daemon.simulation.parameters import Effects
@@ -409,3 +413,40 @@ def test_a_drive_without_pressure_or_force_teaches_nothing() -> None:
     assert pressure in recording.present
     assert learned_forces(config, [recording])
     assert learned_forces(config, [recording, blind]) == {}
+
+
+def test_a_value_that_changed_is_told_and_not_written() -> None:
+    change = "change.effect.friction_fade.strength"
+    one = Candidate(change, 1.0, 0.2, 12.5, 10.0, 0.7)
+    odds = {change: 0.99, "": 0.01}
+    naming = Naming("name", (change,), 0.99, (one,), odds, "a reason")
+    gap = ForceGap(
+        *(("a.log",), 7, naming, {change: 1.0}, {change: 0.2}, {}, {}),
+        *(("a.log",), False, 0.02, 0.03, 1e6, 2e6),
+    )
+
+    assert not gap.adopted
+    assert not gap.worse
+    assert not gap.entries.effects
+    text = force_text(gap)
+    assert "fall of the friction of hot brakes +101 % since the match" in text
+    assert change not in text
+    assert "error of the car's acceleration" not in text
+    both = replace(
+        gap,
+        strengths={change: 1.0, "mass_error": 0.5},
+        deviations={change: 0.2, "mass_error": 0.1},
+    )
+    assert both.adopted == ("mass_error",)
+    assert both.worse
+    (entry,) = both.entries.effects
+    assert (entry.name, entry.parameters) == ("mass_error", {"strength": 0.5})
+    assert "mass_error: strength 0.50 +- 0.10" in force_text(both)
+
+
+def test_a_change_has_bounds_of_its_own() -> None:
+    name = "change.effect.friction_fade.strength"
+
+    assert not _at_bound(name, -3.9)
+    assert _at_bound(name, -4.0)
+    assert _at_bound(name, 4.0)
