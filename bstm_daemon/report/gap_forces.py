@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.force_balance import Forces
+from bstm_daemon.analysis.gap.forces import Forces
 from bstm_daemon.analysis.gap.heat_only import ForceGap
 from bstm_daemon.report import gap as words
 from bstm_daemon.report import plots

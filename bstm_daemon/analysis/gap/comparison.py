@@ -106,6 +106,12 @@ class Comparison(Layout):
         changed = self.target.changed(values).config
         return with_effects(changed, effects)
 
+    def is_on_heat(self, name: str) -> bool:
+        """Whether the candidate *name* is of what heats the brakes."""
+        if is_change(name):
+            return bool(self.trials[name].effects)
+        return not is_composed(name) and effect_class(name).kind == "heat"
+
     def placed(
         self, x: Column, strengths: Mapping[str, float]
     ) -> tuple[Column, list[EffectConfig]]:

@@ -21,7 +21,8 @@ from bstm_daemon.analysis.gap.changes import (
     is_listed,
 )
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
-from bstm_daemon.analysis.gap.force_balance import ForceComparison, Forces
+from bstm_daemon.analysis.gap.force_balance import ForceComparison
+from bstm_daemon.analysis.gap.forces import Forces
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.signatures import (

@@ -10,7 +10,7 @@ missing there, without a name. They decide whether anything is missing that no
 named effect explains.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -154,6 +154,14 @@ class Sensed:
                 *(terms.sum(axis=0) for terms in self.terms_k.values()),
                 *(one.change for one in self.unknown_k),
             ]
+        )
+
+    def without(self, names: Collection[str]) -> "Sensed":
+        """Return it without the candidates *names*."""
+        return replace(
+            self,
+            terms_k={n: k for n, k in self.terms_k.items() if n not in names},
+            forms_k={n: k for n, k in self.forms_k.items() if n not in names},
         )
 
     def whitened(self, layout: Layout) -> Linearised:

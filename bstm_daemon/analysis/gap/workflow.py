@@ -24,7 +24,7 @@ from bstm_daemon.analysis.gap.fitting import (
     fit,
     prior_along,
 )
-from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
 from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
     contradicted,
@@ -129,7 +129,7 @@ def find_gap(
         LogError: no corner with a thermocouple.
     """
     targets = measured_targets(config, [one.drive for one in recordings])
-    by_forces = cache(lambda: _named_by_forces(config, recordings))
+    by_forces = cache(lambda: _force_gap(config, recordings))
     return over_targets(
         targets,
         lambda target, report_share: _gap(
@@ -145,20 +145,46 @@ def find_gap(
     )
 
 
-def _named_by_forces(
+def _force_gap(
     config: Config, recordings: Sequence[Recording]
-) -> Naming | None:
-    """Return what forces name that is new since the match, if they do."""
+) -> ForceGap | None:
+    """Return what forces show that is new since the match.
+
+    None where the match knows no forces, or these drives show none.
+    """
     if not any(one.forces for one in config.matched):
         return None
     try:
-        naming = find_force_gap(config, recordings).naming
+        return find_force_gap(config, recordings)
     except LogError:
         return None
-    if naming.answer != "name":
-        return None
-    reason = f"by forces, pressure against motion: {naming.reason}"
-    return replace(naming, reason=reason)
+
+
+def _refuted(
+    naming: Naming,
+    comparison: Comparison,
+    by_forces: Callable[[], ForceGap | None],
+) -> tuple[str, ...]:
+    """Return what temperatures suggest and forces would show, but do not.
+
+    Friction moves forces more plainly than temperatures, which motion heats.
+    """
+    suggested = [
+        one
+        for i, one in enumerate(naming.candidates)
+        if (i == 0 or one.name in naming.names)
+        and comparison.is_on_heat(one.name)
+    ]
+    if not (naming.found and suggested):
+        return ()
+    forces = by_forces()
+    seen = () if forces is None else forces.naming.candidates
+    own = {one.name: one for one in seen if one.log_evidence < 0.0}
+    return tuple(
+        one.name
+        for one in suggested
+        if one.name in own and own[one.name].reach <= abs(one.strength)
+    )
 
 
 def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
@@ -188,7 +214,7 @@ def _gap(  # noqa: PLR0913
     question: Question,
     report_share: Callable[[float], None],
     *,
-    by_forces: Callable[[], Naming | None],
+    by_forces: Callable[[], ForceGap | None],
 ) -> Gap:
     located = locate(target.config, recordings, target.corners)
     report_share(0.1)
@@ -205,13 +231,19 @@ def _gap(  # noqa: PLR0913
     )
     basis = directions(comparison)
     known, naming = search(comparison, simulated, basis)
+    if refuted := _refuted(naming, comparison, by_forces):
+        comparison = compare(target, recordings)
+        simulated = simulated.without(refuted)
+        known, naming = search(comparison, simulated, basis)
     plain = Gap(
         *(target.corners, names, points, located, naming, known.silent),
         matched=comparison.matched,
     )
-    if not naming.found and (named := by_forces()):
+    forces = None if naming.found else by_forces()
+    if forces is not None and forces.naming.answer == "name":
         # motion heats whatever friction is: nothing to fit to temperatures
-        return replace(plain, naming=named)
+        reason = f"by forces, pressure against motion: {forces.naming.reason}"
+        return replace(plain, naming=replace(forces.naming, reason=reason))
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):

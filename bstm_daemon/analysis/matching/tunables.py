@@ -91,7 +91,6 @@ are alike, and those of another see ten times as much of the disc."""
 ANY: Final = (0.05, 5.0, 0.5)
 """Of any other effect's strength."""
 
-
 CONTACT: Final = "contact_conductance"
 CONDUCTANCE: Final = f"{EFFECT}.{CONTACT}.conductance_w_m2k"
 """The effect whose conductance is matched instead of its strength: what cars
@@ -196,7 +195,7 @@ TUNABLES: Final[dict[str, Tunable]] = {
         ),
         # rough faces: 1e3 to 1e4 W/m2K are known, and a tenth of it
         Tunable(CONDUCTANCE, 10.0, 2e4, 1.2, "W/(m2 K)"),
-        # the bracket's own wind and what the knuckle takes, which is warm
+        # to the wind, and to the knuckle, which is warm
         Tunable(BRACKET_LOSS, 0.05, 10.0, 0.7, "W/K"),
     )
 }

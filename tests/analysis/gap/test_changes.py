@@ -21,6 +21,7 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.form import form_k, with_form
 from bstm_daemon.analysis.gap.signatures import (
+    Sensed,
     candidates,
     sensed,
     sharpened,
@@ -40,6 +41,7 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.report.gap import headline
 
@@ -50,7 +52,7 @@ if TYPE_CHECKING:
 
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.analysis.statistics.series import Column
-    from bstm_daemon.config.sections import Config, EffectConfig
+    from bstm_daemon.config.sections import Config
 
 AMONG = (
     "gap_conduction", "hub_conduction", "disc_radiation_driving",
@@ -292,3 +294,32 @@ def test_an_effect_on_what_a_sensor_reads_is_told_not_fitted() -> None:
     assert of_sensor("clock_offset")
     assert not of_sensor("gap_conduction")
     assert not of_sensor("change.disc_mass")
+
+
+def test_what_heats_the_brakes_is_an_effect_on_heat_or_its_change(
+    matched: Target, made: Callable[..., Recording]
+) -> None:
+    entry = EffectConfig(name="friction_fade", parameters={"strength": 1.0})
+    config = matched.config.model_copy(update={"effect": [entry]})
+    comparison = compare(replace(matched, config=config), [made()])
+
+    assert comparison.is_on_heat("mass_error")
+    assert comparison.is_on_heat("change.effect.friction_fade.strength")
+    assert not comparison.is_on_heat("change.disc_mass")
+    assert not comparison.is_on_heat("gap_conduction")
+    assert not comparison.is_on_heat("composed.disc, driving, constant")
+
+
+def test_candidates_can_be_left_out_of_what_was_simulated() -> None:
+    column = np.zeros((2, 3))
+    one = Sensed(
+        *(np.zeros(3), np.zeros((3, 1)), {"a": column, "b": column}, ("c",)),
+        *((), {}, {"a": (column,)}),
+    )
+
+    left = one.without({"a", "c"})
+
+    assert left.terms_k.keys() == {"b"}
+    assert not left.forms_k
+    assert left.silent == ("c",)
+    assert one.terms_k.keys() == {"a", "b"}

@@ -15,11 +15,10 @@ from bstm_daemon.analysis.gap.force_balance import (
     COLD_C,
     FRICTION,
     ForceComparison,
-    _motion_n,
     drag_n,
-    forces,
     held_n,
 )
+from bstm_daemon.analysis.gap.forces import _motion_n, forces
 from bstm_daemon.analysis.gap.form import DAILY
 from bstm_daemon.analysis.gap.heat_only import (
     LEARNED,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -60,7 +61,13 @@ def steps(
         extended = SimpleNamespace(strengths={"gap_conduction": 1.2})
         for name, value in (
             ("locate", "a map"),
-            ("sensed", SimpleNamespace(jacobian_k=None)),
+            (
+                "sensed",
+                SimpleNamespace(
+                    jacobian_k=None,
+                    without=lambda names: done.append(f"not {names[0]}"),
+                ),
+            ),
             ("search", (known, found)),
             ("fit", extended),
             ("show", shown),
@@ -177,6 +184,64 @@ def test_forces_are_asked_where_temperatures_show_nothing(
     else:
         assert gap.naming is nothing
     assert not gap.adopted
+
+
+FADE = "friction_fade"
+
+
+@pytest.mark.parametrize(
+    ("evidence", "reach", "strength", "refuted"),
+    [
+        (-0.1, 0.8, 0.9, (FADE,)),
+        (-0.1, 0.8, -0.9, (FADE,)),
+        (0.1, 0.8, 0.9, ()),
+        (-0.1, 1.0, 0.9, ()),
+    ],
+)
+def test_forces_refute_a_friction_that_they_would_show(
+    evidence: float, reach: float, strength: float, refuted: tuple[str, ...]
+) -> None:
+    """Whether it is named or only the best; of what heats, and if asked."""
+    own = Candidate(FADE, 0.1, 0.1, 0.0, evidence, reach)
+    other = Candidate("wet_disc", 0.1, 0.1, 0.0, -1.0, 0.1)
+    forces: Any = SimpleNamespace(
+        naming=replace(NAMED, candidates=(own, other))
+    )
+    comparison: Any = SimpleNamespace(is_on_heat=lambda name: name == FADE)
+    fades = Candidate(FADE, strength, 0.1, 9.0, 8.0, 0.5)
+    wet = Candidate("wet_disc", 3.0, 0.1, 9.0, 7.0, 0.5)
+
+    def found(
+        answer: Answer, names: tuple[str, ...], *candidates: Candidate
+    ) -> tuple[str, ...]:
+        naming = replace(NAMED, candidates=candidates)
+        naming = naming.answered(answer, names, 0.9, "")
+        return workflow._refuted(naming, comparison, lambda: forces)
+
+    assert found("name", (FADE,), fades, wet) == refuted
+    assert found("name", ("wet_disc", FADE), wet, fades) == refuted
+    assert found("unknown", (), fades, wet) == refuted
+    assert found("unknown", (), wet, fades) == ()
+    assert found("nothing", (), fades, wet) == ()
+    named = replace(NAMED, candidates=(fades,)).answered(
+        *("name", (FADE,), 0.9, "")
+    )
+    assert workflow._refuted(named, comparison, lambda: None) == ()
+
+
+def test_what_forces_refute_is_searched_without(
+    steps: Callable[..., tuple[Any, list[str]]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        workflow, "_refuted", lambda naming, *_: (FADE,) * naming.found
+    )
+    nothing = NAMED.answered("nothing", (), 0.9, "")
+
+    _, found = steps(nothing, "name")
+    assert found == [*ORDER[:3]]
+    _, found = steps(NAMED, "name")
+    assert found == ["locate", "sensed", "search", f"not {FADE}", "search"]
 
 
 def test_what_can_not_be_told_apart_is_advised_on(

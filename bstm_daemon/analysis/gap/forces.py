@@ -1,0 +1,201 @@
+"""The car's brake force by pressure and by motion, drive by drive.
+
+Motion counts with the brakes released, too: there both must be nothing, which
+is what parts an error of the motion from one of the friction.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.recording import Recording
+from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.statistics.series import Column, Indices
+from bstm_daemon.channels import CHANNELS
+from bstm_daemon.config.sections import Config
+from bstm_daemon.model.effects.catalogue import edited_inputs
+from bstm_daemon.model.effects.model import corrections_by_role
+from bstm_daemon.model.heat.feed_back import Vehicle
+from bstm_daemon.roles import ROLE_INDEX
+
+WINDOW_S: Final = 1.0
+MOST_WINDOWS: Final = 1500
+SLOWEST_MS: Final = 3.0
+"""Below, wheel speeds are coarse and the last jolt of a stop is in them."""
+
+HOLD_S: Final = 0.6
+"""A role without a sample for longer is not known."""
+
+DRIVEN_NM: Final = 10.0
+"""Where only the engine's torque is on the bus, more of it drives the car."""
+
+AIDS: Final = ("abs_active", "esc_active", "tc_active")
+"""While one of these acts, wheels slip and no force is read from them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forces:
+    """Mean forces [N] over windows, (n,) each, positive for braking.
+
+    ``pressed_n`` is of the pressure by corner, (corners, n), ``motion_n`` of
+    the motion, nan where it is not known; ``first`` is the step that a window
+    begins at, ``braked`` the share of the window with the pressure on,
+    ``rate_ms2`` the change of the speed, ``engine_nm`` what is known of the
+    engine where the torque at the wheels is not, else nan, ``known_torque``
+    whether the bus has the drive's torque, ``has_accelerometer`` whether it
+    counts.
+    """
+
+    drive: str
+    first: Indices
+    time_s: Column
+    speed_ms: Column
+    rate_ms2: Column
+    braked: Column
+    pressed_n: Column
+    motion_n: Column
+    engine_nm: Column
+    known_torque: bool
+    has_accelerometer: bool
+
+    @property
+    def whole_n(self) -> Column:
+        """The force of the pressure, all corners, (n,)."""
+        return np.asarray(self.pressed_n.sum(axis=0))
+
+    @property
+    def metres(self) -> Column:
+        """How far the car goes, by window, (n,)."""
+        return np.asarray(self.speed_ms * np.gradient(self.time_s))
+
+
+def forces(recording: Recording, config: Config) -> Forces:
+    """Return the forces of *recording* as *config* with its effects has them.
+
+    The windows of a recording are the same for every configuration.
+    """
+    inputs = recording.thin_inputs_of(config)
+    steps = len(recording.drive)
+    speed = inputs[:, 0, CHANNELS.index("speed_ms")]
+    every = round(
+        max(WINDOW_S, recording.drive.duration_s / MOST_WINDOWS) / GRID_S
+    )
+    motion, has_accelerometer, known = _motion_n(recording, config, speed)
+    engine = np.full(len(speed), np.nan)
+    if not known and ROLE_INDEX["engine_torque"] in recording.present:
+        read = _step_means(recording, ROLE_INDEX["engine_torque"])
+        engine = engine if read is None else read
+        motion = np.where(engine > DRIVEN_NM, np.nan, motion)
+    # running sums: both sides then have the same averaging
+    distance = _running(speed)
+    edges = np.arange(0, steps, every)
+    if len(edges) < 2:
+        edges = np.array([0, steps - 1])
+    first, last = edges[:-1], edges[1:]
+    length = np.maximum(distance[last] - distance[first], 1e-3)
+    energy = inputs[:, :, CHANNELS.index("brake_energy_ff_j")]
+    work = _running(np.nan_to_num(motion) * speed)
+    missing = _running(np.isnan(motion).astype(float))
+    slow = _running((speed < SLOWEST_MS).astype(float))
+    bad = (missing[last] > missing[first]) | (slow[last] > slow[first])
+    force = (work[last] - work[first]) / length
+    force[bad] = np.nan
+    brake_on = inputs[:, :, CHANNELS.index("brake_on")].max(axis=1)
+    switch = ROLE_INDEX["brake_switch"]
+    if switch in recording.present:
+        on = _step_means(recording, switch)
+        if on is not None:
+            brake_on = np.maximum(brake_on, np.nan_to_num(on))
+
+    def mean(column: Column) -> Column:
+        total = _running(column)
+        return np.asarray((total[last] - total[first]) / (every * GRID_S))
+
+    return Forces(
+        recording.name,
+        first,
+        recording.drive.time_s[first],
+        mean(speed),
+        (speed[last] - speed[first]) / (every * GRID_S),
+        mean(brake_on),
+        ((energy[last] - energy[first]) / length[:, None]).T,
+        force,
+        mean(engine),
+        known,
+        has_accelerometer,
+    )
+
+
+def _running(rate: Column) -> Column:
+    """Integrate *rate* to the middle of each step."""
+    return np.asarray((np.cumsum(rate) - 0.5 * rate) * GRID_S)
+
+
+def _motion_n(
+    recording: Recording, config: Config, speed: Column
+) -> tuple[Column, bool, bool]:
+    """Return Eq 4.11 whether the brake is on or not, (steps,).
+
+    And whether the accelerometer is used, and whether torque is known.
+    """
+    edited = edited_inputs(config)
+    vehicle = Vehicle.of_config(edited.config.vehicle)
+    corrections = corrections_by_role(edited.corrections)
+    heat = edited.config.heat
+
+    def held(role: str) -> Column | None:
+        number = ROLE_INDEX[role]
+        if number not in recording.present:
+            return None
+        gain, offset = corrections.get(number, (1.0, 0.0))
+        found = _step_means(recording, number)
+        return None if found is None else gain * found + offset
+
+    torque, accel_ms2 = held("powertrain_torque"), None
+    if heat.slope == "accelerometer":
+        accel_ms2 = held("acceleration_longitudinal")
+    external = held("external_force")
+    known = torque is not None
+    if torque is None:
+        assumed = heat.assume_powertrain_torque_nm
+        torque = np.full(len(speed), np.nan if assumed is None else assumed)
+    rate = np.gradient(speed, GRID_S) if len(speed) > 1 else 0.0 * speed
+    drag = (vehicle.quadratic * speed + vehicle.linear) * speed
+    force = torque / vehicle.wheel_radius_m - drag - vehicle.constant
+    if external is not None:
+        force = force + external
+    if accel_ms2 is None:
+        force = force - vehicle.effective_mass_kg * rate
+    else:
+        force = force - vehicle.mass_kg * accel_ms2
+        force = force - vehicle.rotating_mass_kg * rate
+    for role in AIDS:
+        acting = held(role)
+        if acting is not None:
+            force = np.where(acting > 0.0, np.nan, force)
+    return force, accel_ms2 is not None, known
+
+
+def _step_means(recording: Recording, number: int) -> Column | None:
+    """Return the mean of a role over each step; held where it is sparse."""
+    events = recording.thin
+    own = events.role == number
+    if not own.any():
+        return None
+    drive = recording.drive
+    time_s = events.time_us[own] * 1e-6 - drive.start_s
+    value = events.value[own]
+    step = (time_s / GRID_S).astype(int)
+    inside = (step >= 0) & (step < len(drive))
+    count = np.bincount(step[inside], minlength=len(drive))
+    total = np.bincount(step[inside], value[inside], minlength=len(drive))
+    found = np.full(len(drive), np.nan)
+    has = count > 0
+    found[has] = total[has] / count[has]
+    middle = drive.time_s - 0.5 * GRID_S
+    last = np.searchsorted(time_s, middle, side="right") - 1
+    near = (last >= 0) & (middle - time_s[np.maximum(last, 0)] <= HOLD_S)
+    return np.where(
+        has, found, np.where(near, value[np.maximum(last, 0)], np.nan)
+    )
