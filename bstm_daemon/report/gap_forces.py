@@ -119,7 +119,7 @@ def force_page(gap: ForceGap, subtitle: str) -> Page:
     tiles = (
         words.answer_tile(naming),
         words.probability_tile(naming),
-        *words.strength_tiles(gap),
+        *(words.strength_tiles(gap) if gap.adopted else ()),
         (
             f"{1e-6 * gap.pressed_j:.1f} MJ",
             f"braking work by pressure; {moved_mj:.1f} MJ by motion",

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.analysis.gap.heat_only import learned_forces
+from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.drives import read_drives
 from bstm_daemon.analysis.matching.matcher import match_drives
@@ -107,6 +109,20 @@ def test_the_matched_car_is_a_configuration_with_its_comments(
     comments = [one for one in old.splitlines() if one.startswith("#")]
     assert set(comments) <= set(text.splitlines())
     assert config.accuracy.fluid_k is not None
+
+
+def test_what_its_forces_showed_is_handed_on(matched: Path, log: Path) -> None:
+    vehicle = load_vehicle(matched / "new.toml")
+    recording = read_recording(log, *vehicle)
+
+    wanted = learned_forces(vehicle[0], [recording])
+
+    (known,) = vehicle[0].matched
+    assert {"mass_error", "hydraulic_lag"} <= known.forces.keys()
+    strengths = {name: a for name, (a, _) in wanted.items()}
+    assert known.forces == pytest.approx(strengths, abs=0.02)
+    deviations = {name: sd for name, (_, sd) in wanted.items()}
+    assert known.forces_sd == pytest.approx(deviations, abs=0.02)
 
 
 def test_the_rear_corners_keep_their_own_values(matched: Path) -> None:

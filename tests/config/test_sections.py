@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from bstm_daemon.bus.output.layout import BLOCK_IDS
 from bstm_daemon.config import sections as config
 from bstm_daemon.config import service as config_service
-from bstm_daemon.config.estimates import FluidConfig
+from bstm_daemon.config.estimates import FluidConfig, MatchedConfig
 from bstm_daemon.config.schema import config_schema
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
 from bstm_daemon.simulation.drives import DriveHead, Segment
@@ -356,3 +356,18 @@ def test_a_piston_is_given_by_its_area_or_its_diameter() -> None:
         config.CornerConfig.model_validate(given | {"piston_diameter_mm": -57})
     with pytest.raises(ValidationError, match="piston_area_m2"):
         config.CornerConfig.model_validate(given)
+
+
+def test_what_forces_showed_has_its_deviations() -> None:
+    one = {
+        "corners": ["FL"],
+        "names": ["thermal.disc_emissivity"],
+        "values": [0.5],
+        "factor": [[0.1]],
+        "forces": {"mass_error": 0.2},
+    }
+
+    with pytest.raises(ValidationError, match="'forces' and 'forces_sd'"):
+        MatchedConfig.model_validate(one)
+    deviations = {"forces_sd": {"mass_error": 0.1}}
+    assert MatchedConfig.model_validate(one | deviations).forces_sd

@@ -202,8 +202,11 @@ class ForceComparison:
         self._columns: dict[str, Column] = {}
         self._raw_n = self._residual(self.parts)
         self.trials = trials(config, ()) if config.matched else {}
-        self.jacobian_n, self.prior = self._tunables()
-        self.base_n = self._raw_n + self._known_n()
+        columns, priors = self._tunables()
+        known_n, more, their_priors = self._known()
+        self.base_n = self._raw_n + known_n
+        self.jacobian_n = np.column_stack([*columns, *more])
+        self.prior = np.array([*priors, *their_priors])
         self.layout = self._layout()
 
     @property
@@ -240,33 +243,29 @@ class ForceComparison:
         parts = [forces(one, config) for one in self.recordings]
         return (self._residual(parts) - self._raw_n) / step
 
-    def _known_n(self) -> Column:
+    def _known(self) -> tuple[Column, list[Column], list[float]]:
         """Return what the match knows of the residual, less than nothing.
 
-        What it does not know of that, and what differs from day to day, joins
-        the tunables.
+        And tunables, (n,) each, with their priors: what it does not know of
+        that, and what differs from day to day.
         """
+        none = np.zeros(len(self._raw_n))
         known = next((m for m in self.config.matched if m.forces), None)
         if known is None:
-            return np.zeros(len(self._raw_n))
+            return none, [], []
         there = {*candidates(self.config), *self.trials}
-        columns, priors = [self.jacobian_n], [*self.prior]
-        for name in sorted(there.intersection(known.forces)):
-            columns.append(self.changed_n(name)[:, None])
-            priors.append(known.forces_sd[name])
+        own = sorted(there.intersection(known.forces))
+        columns = [self.changed_n(name) for name in own]
+        priors = [known.forces_sd[name] for name in own]
+        sizes = [known.forces[name] for name in own]
+        found = sum(
+            (a * one for a, one in zip(sizes, columns, strict=True)), none
+        )
         for name in sorted(there.intersection(DAILY)):
             days = self._each_day(self.changed_n(name))
-            columns.append(np.column_stack(days))
+            columns += days
             priors += [DAILY[name]] * len(days)
-        self.jacobian_n = np.column_stack(columns)
-        self.prior = np.array(priors)
-        return np.asarray(
-            sum(
-                a * self.changed_n(name)
-                for name, a in known.forces.items()
-                if name in there
-            )
-        )
+        return found, columns, priors
 
     def _residual(self, parts: Sequence[Forces]) -> Column:
         return self._counted([one.whole_n - one.motion_n for one in parts])
@@ -280,7 +279,7 @@ class ForceComparison:
         """Return a column of the windows that count, (n,)."""
         return self._counted([getattr(one, name) for one in self.parts])
 
-    def _tunables(self) -> tuple[Column, Column]:
+    def _tunables(self) -> tuple[list[Column], list[float]]:
         speed, mass = self.column("speed_ms"), self.vehicle.mass_kg
         columns = [
             *self._each_day(self.column("whole_n")),
@@ -296,7 +295,7 @@ class ForceComparison:
         if not self.parts[0].known_torque:
             columns.append(self._engine_n(mass))
             priors.append(1.0)
-        return np.column_stack(columns), np.array(priors)
+        return columns, priors
 
     def _each_day(self, column: Column) -> list[Column]:
         """Return *column* (n,) for each drive alone."""
