@@ -46,6 +46,9 @@ THIN_COUPLING_US: Final = 500_000
 """Where friction gets its temperature anew in a trial: what a trial takes is
 the difference of two passes, and a pass goes back to Python each time."""
 
+MOST_BYTES: Final = 1 << 25
+"""Of the trials of a drive that are kept."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
@@ -60,6 +63,11 @@ class Recording:
     present: Mapping[int, int] = field(repr=False)
     thin: Events = field(repr=False)
     thin_inputs: Column = field(repr=False)
+    _tried: dict[str, tuple[Mask, Column]] = field(
+        default_factory=dict, repr=False
+    )
+    """By configuration: which columns are others than ``thin_inputs``, and
+    these. Both axles and the forces ask for the same trials."""
 
     @property
     def name(self) -> str:
@@ -71,8 +79,21 @@ class Recording:
 
         (steps, corners, channels), on the steps of ``drive``.
         """
-        rows, _ = inputs_of(config, self.present, self.thin)
-        return _like(self.drive, rows)
+        # what a match learned heats nothing
+        key = config.model_copy(update={"matched": []}).model_dump_json()
+        if key not in self._tried:
+            rows, _ = inputs_of(config, self.present, self.thin)
+            found, base = _like(self.drive, rows), self.thin_inputs
+            alike = (found == base) | (np.isnan(found) & np.isnan(base))
+            other = ~alike.all(axis=0)
+            kept = sum(columns.nbytes for _, columns in self._tried.values())
+            if kept > MOST_BYTES:
+                return found
+            self._tried[key] = other, found[:, other]
+        other, columns = self._tried[key]
+        found = self.thin_inputs.copy()
+        found[:, other] = columns
+        return found
 
     def heated_by(self, config: Config) -> Drive:
         """Return the drive as *config* heats it.

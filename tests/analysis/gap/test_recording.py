@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.estimator.coupling import COUPLING_US, Coupling
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
@@ -74,6 +76,44 @@ def test_heat_does_not_need_the_temperatures(
 
     assert np.array_equal(alone, whole, equal_nan=True)
     assert not np.array_equal(alone, short.drive.inputs, equal_nan=True)
+
+
+@pytest.mark.parametrize(("room", "passes"), [(1 << 25, 2), (-1, 4)])
+def test_a_trial_that_is_asked_for_again_is_not_passed_again(
+    room: int,
+    passes: int,
+    config: Config,
+    short: Recording,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Unless there is no room; what a match learned is no other trial."""
+    mass, share = (
+        with_effects(config, effect_entries({name: 1.0}))
+        for name in ("mass_error", "brake_share")
+    )
+    wanted = [
+        inputs_of(one, short.present, short.thin)[0] for one in (mass, share)
+    ]
+    asked: list[Config] = []
+
+    def counted(config: Config, *of: Any) -> Any:
+        asked.append(config)
+        return inputs_of(config, *of)
+
+    monkeypatch.setattr(module, "inputs_of", counted)
+    monkeypatch.setattr(module, "MOST_BYTES", room)
+    fresh = replace(short, _tried={})
+    own = MatchedConfig(corners=["FL"], names=[], values=[], factor=[])
+    learned = mass.model_copy(update={"matched": [own]})
+
+    found = [
+        fresh.thin_inputs_of(one) for one in (mass, share, learned, share)
+    ]
+
+    assert len(asked) == passes
+    for one, whole in zip(found, [*wanted, *wanted], strict=True):
+        assert np.array_equal(one, whole, equal_nan=True)
+    assert not np.array_equal(*wanted, equal_nan=True)
 
 
 def test_only_effects_on_the_inputs_need_another_pass(config: Config) -> None:
