@@ -33,8 +33,8 @@ from bstm_daemon.model.thermal.program import Program, compile_network
 STEADY_K: Final = 10.0
 """First temperatures that spread less are joined to their mean."""
 
-STRETCH_STEPS: Final = 1024
-"""Steps given to the kernel at a time."""
+STRETCH_STEPS: Final = 256
+"""Steps given to the kernel at a time: what they put out stays in the cache."""
 
 
 def initial_temperatures(
