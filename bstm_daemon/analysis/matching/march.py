@@ -34,7 +34,7 @@ STEADY_K: Final = 10.0
 """First temperatures that spread less are joined to their mean."""
 
 STRETCH_STEPS: Final = 256
-"""Steps given to the kernel at a time: what they put out stays in the cache."""
+"""Steps of a call of the kernel: what they put out stays in the cache."""
 
 
 def initial_temperatures(

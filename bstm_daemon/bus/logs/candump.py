@@ -39,7 +39,7 @@ _BYTES_PER_LINE: Final = 32
 # state of the scan, as in candump.c
 _POSITION, _LINE, _FRAMES, _PENDING, _A, _B, _NAMES_FULL, _KEYS_FULL = range(8)
 _DONE, _NEW_NAME, _NEW_KEY, _NO_ROOM, _NEED_WIDE = range(5)
-_KEY, _VERDICT, _COUNT = range(3)
+_KEY, _WANTED, _COUNT = range(3)
 
 
 class CandumpReader(FrameReader):
@@ -175,7 +175,7 @@ class CandumpReader(FrameReader):
         packed = int(self._keys[slot, _KEY])
         key = (packed >> 32) - 1, packed & EXTENDED_MAX, bool(packed >> 31 & 1)
         self._key_of_slot[slot] = key
-        self._keys[slot, _VERDICT] = self.why_unwanted(*key) is None
+        self._keys[slot, _WANTED] = self.why_unwanted(*key) is None
         self._state[_KEYS_FULL] = len(self._key_of_slot) >= _KEYS_LIMIT
 
     def _copied(self, count: int) -> FrameChunk:

@@ -14,8 +14,7 @@ enum {
     S_KEYS_FULL, STATES
 };
 enum { DONE, NEW_NAME, NEW_KEY, NO_ROOM, NEED_WIDE };
-enum { K_KEY, K_VERDICT, K_COUNT, KEY_FIELDS };
-enum { UNDECIDED = -1, UNWANTED = 0 };
+enum { K_KEY, K_WANTED, K_COUNT, KEY_FIELDS };
 enum { P_START, P_END, P_LINE, PENDING_FIELDS };
 enum { LINE_LIMIT = 16384, SECOND_DIGITS = 12, FRACTION_DIGITS = 9 };
 enum { CLASSIC_BYTES = 8, FD_BYTES = 64 };
@@ -114,11 +113,6 @@ static Py_ssize_t find_key(const int64_t *keys, Py_ssize_t slots, int64_t key)
         slot = (slot + 1) & (slots - 1);
     }
     return -1;
-}
-
-static int is_open(const int64_t *entry)
-{
-    return entry[K_KEY] == 0 || entry[K_VERDICT] == UNDECIDED;
 }
 
 static void keep_shape(Shape *shape, const uint8_t *line, const Header *h,
@@ -318,15 +312,14 @@ static int scan(const Py_buffer *view, Py_ssize_t end)
                     entry = keys + slot * KEY_FIELDS;
                     settled = entry[K_KEY] || !state[S_KEYS_FULL];
                 }
-                if (settled && is_open(entry)) {
+                if (settled && entry[K_KEY] == 0) {
                     entry[K_KEY] = key;
-                    entry[K_VERDICT] = UNDECIDED;
                     stop = NEW_KEY;
                     state[S_A] = slot;
                     break;
                 }
             }
-            if (settled && entry[K_VERDICT] != UNWANTED) {
+            if (settled && entry[K_WANTED]) {
                 const int is_fd = *h.payload == '#';
                 if (is_fd && width < FD_BYTES) {
                     stop = NEED_WIDE;
@@ -404,8 +397,8 @@ const char bstm_scan_doc[] =
 "Read the lines of text[:end], which ends in a newline, from state[0] on,\n"
 "behind the frames and pending lines that the columns already have.\n"
 "names: interfaces, a newline behind each; keys int64 [2 ** n, 3]: key,\n"
-"verdict, lines settled; data [n, 8] or [n, 64]. Returns 0 at the end, 1 at\n"
-"an interface not in names, 2 at a key without verdict, 3 where a column is\n"
+"if wanted, lines settled; data [n, 8] or [n, 64]. Returns 0 at the end, 1 at\n"
+"an interface not in names, 2 at a key that is new, 3 where a column is\n"
 "full, 4 at a CAN FD frame where data has 8 columns.\n"
 "ValueError where sizes do not fit.";
 

@@ -337,6 +337,64 @@ def test_no_sample_comes_of_what_is_no_frame_of_a_message(
     assert [one.name for one in found.counts if found.counts[one]] == [reason]
 
 
+def test_an_id_too_high_is_not_one_of_the_next_bus(
+    live: BusExtension,
+) -> None:
+    """The ids of standard frames stand bus after bus in one table."""
+    key = FrameKey(1, 0x124, extended=False)
+    [plan, _] = plain_map().messages.values()
+    signal_map = SignalMap(BUSES, {key: replace(plan, key=key)}, (1,))
+    frames = [Received(0, *one, bytes(8)) for one in (key, (0, 0x924, False))]
+    records = records_of(live, frames)
+    decoder = RecordDecoder(signal_map, {})
+
+    assert decoder.decode(records, 0, Counter(), []) == 1
+    assert decoder.count == 2
+    assert decoder.decode(records, 1, Counter(), []) == 1
+    assert decoder.count == 0
+
+
+@pytest.mark.parametrize(
+    ("low_us", "high_us", "latest_us", "placed", "late"),
+    [
+        (-2000, 9000, 9000, 4, 2),
+        (-1000, 9000, 9000, 2, 1),
+        (-1001, 4000, 9000, 4, 2),
+        (-2000, 3999, 9000, 0, 0),
+        (-2000, 9000, 3999, 0, 0),
+    ],
+)
+def test_records_are_placed_in_time_up_to_one_that_is_far(
+    live: BusExtension,
+    low_us: int,
+    high_us: int,
+    latest_us: int,
+    placed: int,
+    late: int,
+) -> None:
+    """Stamps are rounded down, and time does not go back."""
+    records = FrameRecords(live, 1)
+    stamps_ns = [5_000_999, 3_000_000, -1, 4_000_000]
+    for index, stamp_ns in enumerate(stamps_ns):
+        RECORD.pack_into(
+            *(records.store, index * RECORD_BYTES, stamp_ns, 77),
+            *(0, 0, 0, 0, 0, 0, b""),
+        )
+    shift_us, passed_us = 1000, 3000
+
+    found = live.place_in_time(
+        *(records.store, 0, len(stamps_ns), shift_us),
+        *(low_us, high_us, latest_us, passed_us),
+    )
+
+    assert found == (placed, late)
+    on_axis = [4000, 3000, 3000, 3000][:placed]
+    assert [records.at(n)[0] for n in range(len(stamps_ns))] == [
+        *on_axis,
+        *[77] * (len(stamps_ns) - placed),
+    ]
+
+
 def test_only_ready_records_are_decoded(live: BusExtension) -> None:
     frames = [Received(n, 0, 0x123, False, bytes(8)) for n in range(9)]
     records = records_of(live, frames)

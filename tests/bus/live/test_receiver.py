@@ -302,6 +302,7 @@ def test_both_forms_read_the_same(
         (bytearray(96), 1, 2**63 - 1, None),
         (bytearray(95), 0, 0, None),
         (bytearray(96), 0, 1, array("B", b"\0")),
+        (bytearray(96), 0, 1, array("Q", [0])),
     ],
 )
 def test_the_compiled_reading_keeps_within_its_store(
@@ -311,9 +312,28 @@ def test_the_compiled_reading_keeps_within_its_store(
         pytest.skip("the compiled form is not installed")
     wire.far.send(CLASSIC.pack(1, 0, b""))
     store, first, limit, only = arguments
+    store = bytearray(store)
 
     with pytest.raises(ValueError, match=r"records|buffer"):
         COMPILED.receive(wire.near.fileno(), store, first, limit, 0, only)
+    store.append(0)  # which would fail, were it held
+
+
+@pytest.mark.skipif(COMPILED is None, reason="not installed")
+@pytest.mark.parametrize("only", [None, array("I", [1])])
+def test_nothing_is_held_after_the_compiled_reading(
+    wire: Wire, only: array[int] | None
+) -> None:
+    assert COMPILED is not None
+    store = bytearray(96)
+    wire.far.send(CLASSIC.pack(1, 0, b""))
+
+    frames, *_ = COMPILED.receive(wire.near.fileno(), store, 0, 1, 0, only)
+
+    assert frames == 1
+    store.append(0)
+    if only is not None:
+        only.append(2)
 
 
 @pytest.mark.parametrize(
@@ -372,6 +392,25 @@ def test_only_the_wanted_come_through_but_errors_always(wire: Wire) -> None:
         (0x100, False),
     ]
     assert [frame.is_error for frame in found] == [False, False, True]
+
+
+def test_what_the_kernel_drops_is_counted(wire: Wire) -> None:
+    """Datagrams over a loopback whose receiver has little room."""
+    wire.close()
+    wire.near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    wire.far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    wire.near.bind(("127.0.0.1", 0))
+    wire.far.connect(wire.near.getsockname())
+    wire.receiver = FrameReceiver(wire.near, wire.counts)
+    wire.near.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+    sent = 50
+
+    came = len(wire.frames(*[CLASSIC.pack(1, 0, b"")] * sent))
+    assert 0 < came < sent
+    assert wire.receiver.dropped == 0
+    wire.frame(CLASSIC.pack(2, 0, b""))
+
+    assert wire.receiver.dropped == sent - came
 
 
 def test_the_count_of_drops_wraps_at_32_bits(wire: Wire) -> None:
