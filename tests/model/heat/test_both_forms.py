@@ -20,13 +20,16 @@ from hypothesis import strategies as st
 
 from bstm_daemon.model.compiled import generated_header
 from bstm_daemon.model.heat.friction_law import FrictionLaw
+from bstm_daemon.model.heat.memory import SampleMemory
 from bstm_daemon.model.heat.sample_plan import plan_samples
+from bstm_daemon.native import layout
 from bstm_daemon.native.sources import PACKAGE, SOURCES, digest
 from bstm_daemon.roles import CORNERS, ROLES
 
 from .conftest import STEP_US, Run
 
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Callable
 
     from bstm_daemon.native.loader import Kernel
@@ -181,8 +184,13 @@ def runs(
     compiled: Kernel,
     make_car: Any,
     make_corner: Any,
+    *,
+    shaken: int | None = None,
 ) -> tuple[Run, Run]:
-    """Return both forms after the drive."""
+    """Return both forms after the drive.
+
+    With *shaken*, a seed, each has another memory from the middle on.
+    """
     corners = [
         make_corner(
             name,
@@ -216,8 +224,42 @@ def runs(
         run.feed(samples[:half])
         for corner in range(len(corners)):
             run.state.heat_interface(corner, 500.0 + 10.0 * corner)
+        if shaken is not None:
+            shake(run.state.numbers, random.Random(shaken))  # noqa: S311
         run.feed(samples[half:])
     return one, two
+
+
+def shake(numbers: array[float], draw: random.Random) -> None:
+    """Put some of *numbers* where a drive seldom brings them.
+
+    What is learned stays, as no covariance is drawn, and the sine.
+    """
+    learned, end, sine = (
+        layout.first(SampleMemory, f"observer.{name}")
+        for name in ("known.x", "copy_age_s", "sine")
+    )
+    for i in {*range(len(numbers))} - {*range(learned, end), sine}:
+        match draw.randrange(8):
+            case 0 | 1:
+                numbers[i] *= draw.choice([0.0, 0.3, 0.9, 1.1, 4.0])
+            case 2:
+                numbers[i] += draw.choice([0.1, 2.0, 30.0, 400.0])
+    slope, at_0 = draw.choice([0.5, 1.0, 2.0]), draw.choice([-1.0, 0.0, 1.0])
+    pressed = [draw.uniform(0.3, 4.0) for _ in range(draw.choice([15, 60]))]
+    moved = [at_0 + slope * x + draw.gauss(0.0, 0.3) for x in pressed]
+    sums = {
+        "count": float(len(pressed)),
+        "x": sum(pressed),
+        "y": sum(moved),
+        "xx": sum(x * x for x in pressed),
+        "xy": sum(x * y for x, y in zip(pressed, moved, strict=True)),
+        "yy": sum(y * y for y in moved),
+        "std": 0.1 * len(pressed),
+    }
+    for name, value in sums.items():
+        path = f"observer.balance_{name}"
+        numbers[layout.first(SampleMemory, path)] = value
 
 
 def same(one: Run, two: Run) -> bool:
@@ -238,6 +280,33 @@ def test_random_cars_and_drives(
 ) -> None:
     """Rows, flags, codes and the whole memory are equal."""
     assert same(*runs(chosen, drive, compiled, make_car, make_corner))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_any_memory(
+    compiled: Kernel, make_car: Any, make_corner: Any, seed: int
+) -> None:
+    """Rules of what is learned act alike, wherever that has got to."""
+    draw = random.Random(seed)  # noqa: S311
+    chosen = {
+        "names": CORNERS,
+        "secondary": set(CORNERS[2:]),
+        "mode": draw.choice(["fused", "fused", "fused", "fb", "ff"]),
+        "slope": draw.choice(["accelerometer", "accelerometer", "flat"]),
+        "torque_nm": draw.choice([None, 200.0]),
+        "lag_s": 0.1,
+        "table": True,
+        "law": False,
+        "unpressed": 0.5,
+        "settling_s": 3600.0,
+        "absent": {*draw.sample(range(len(ROLES)), draw.choice([0, 4, 12]))},
+        "timeout_us": 500_000,
+    }
+    drive = Drive(seed, 160, 0.0, step_us=100_000)
+
+    assert same(
+        *runs(chosen, drive, compiled, make_car, make_corner, shaken=seed)
+    )
 
 
 @pytest.mark.slow
