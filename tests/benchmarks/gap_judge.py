@@ -83,6 +83,7 @@ PLACES: Final[dict[str, tuple[str, str]]] = {
     "speed_dependent_convection": ("D", "BV"),
     "brake_without_pressure": ("Q", "B"),
     "hub_heat": ("D", "VP"),
+    "engine_heat": ("F", "VP"),
     "layer_opening": ("BF", "BVP"),
     "cooling_band": ("D", "V"),
     "friction_in_stop": ("Q", "B"),

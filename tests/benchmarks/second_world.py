@@ -70,7 +70,9 @@ RIGHT: Final[dict[str, set[str]]] = {
         *("bracket_conduction", "change.effect.bracket_conduction.strength"),
     },
     "pad_k_rise": {"pad_conductivity", "change.lining_conductivity"},
-    "engine_heat": {"local_air", "change.effect.local_air.strength"},
+    "engine_heat": {
+        *("engine_heat", "local_air", "change.effect.local_air.strength"),
+    },
     "tc_debonded": {"thermocouple_lag", "thermocouple_offset"},
     "hub_drum_heat": {"hub_heat"},
 }

@@ -61,6 +61,7 @@ needs_kernel = pytest.mark.skipif(KERNEL is None, reason="slow in Python")
 
 UNORDERED = {
     "ambient_heat_soak",
+    "engine_heat",
     "fluid_exchange",
     "hub_heat",
     "layer_opening",
@@ -168,7 +169,8 @@ def test_no_member_exceeds_it(
 
 
 FURTHER_HEAT = {
-    *("ambient_heat_soak", "hub_heat", "pad_pyrolysis", "residual_drag"),
+    *("ambient_heat_soak", "engine_heat", "hub_heat", "pad_pyrolysis"),
+    "residual_drag",
     *("disc_capacity_hot", "pad_conductivity", "wet_disc"),
 }
 """Effects with sources beside the brake."""

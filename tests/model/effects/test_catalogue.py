@@ -182,6 +182,21 @@ def test_effects_are_plain_edits() -> None:
             assert name not in text
 
 
+def test_heat_of_the_engine_goes_to_the_air_where_there_is_one(
+    make_spec: Callable[..., CornerSpec],
+) -> None:
+    spec = make_spec(thermal={})
+    plain = CornerModel(spec, build_corner(spec, INPUTS), True)
+    heat = entry("engine_heat", strength=2.0)
+    for beside, expected in (
+        ([], {plain.caliper: 120.0}),
+        ([entry("local_air")], {plain.caliper: 120.0, "air": 400.0}),
+    ):
+        net = apply_effects(plain, [heat, *beside]).network
+        sources = [one for one in net.sources if one.name.startswith("engine")]
+        assert {one.node: one.gain for one in sources} == expected
+
+
 def test_heat_of_the_hub_comes_to_the_bracket_by_the_knuckle(
     make_spec: Callable[..., CornerSpec],
 ) -> None:

@@ -84,7 +84,7 @@ def test_the_document_is_the_catalogue() -> None:
 
 def test_the_catalogue_is_whole() -> None:
     """Each number once."""
-    assert list(effect_numbers()) == list(range(1, 45))
+    assert list(effect_numbers()) == list(range(1, 46))
 
 
 def test_twins_are_effects_and_mutual() -> None:
@@ -104,6 +104,7 @@ def test_units_are_those_that_names_end_with() -> None:
         "_c": "degC",
         "_j": "J",
         "_nm": "Nm",
+        "_w": "W",
         "_pa": "Pa",
         "_w_k": "W/K",
         "_w_m2k": "W/m2K",

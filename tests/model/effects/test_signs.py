@@ -70,6 +70,8 @@ MOVES: list[tuple[str, Phase, Phase, dict[str, int]]] = [
     ("residual_drag", {}, BRAKED, {"disc": 0}),
     ("hub_heat", {}, FAST | {"seconds": 600.0}, {"disc": 1}),
     ("hub_heat", {}, PARKED, {"disc": 0}),
+    ("engine_heat", {}, FAST | {"seconds": 600.0}, {"fluid": 1}),
+    ("engine_heat", {}, PARKED, {"fluid": 0}),
     ("friction_in_stop", {}, PARKED, {"disc": 0}),
     ("layer_opening", HOT_PADS | {"pad_back": 520.0, "backplate": 520.0},
      PARKED | {"seconds": 60.0}, {"fluid": -1, "pad_back": 1}),
@@ -388,6 +390,22 @@ def test_pads_that_rub_are_heated_by_the_disc(corner: Make) -> None:
         there.drive(0.25, speed_ms=0.0)
         found = there.ledger().links["rubbing"] / (0.25 * 200.0 * PADS_M2)
         assert found == pytest.approx(share * 100.0, rel=0.02)
+
+
+def test_heat_of_the_engine_comes_and_goes_with_the_drive(
+    corner: Make,
+) -> None:
+    """60 W after 10 min, half of it after 5, 37 % after 10 min at rest."""
+    there = corner("engine_heat")
+    watts = []
+    for seconds, speed in ((300.0, 10.0), (900.0, 10.0), (600.0, 0.0)):
+        there.drive(seconds, speed_ms=speed)
+        before = there.ledger().sources["engine_caliper"]
+        there.drive(0.25, speed_ms=speed)
+        watts.append(
+            (there.ledger().sources["engine_caliper"] - before) / 0.25
+        )
+    assert watts == pytest.approx([30.0, 60.0, 60.0 * 0.3679], rel=2e-3)
 
 
 def test_hub_heat_follows_the_turns_late(corner: Make) -> None:

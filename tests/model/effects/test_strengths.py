@@ -38,6 +38,7 @@ PROPORTIONAL = {
     "disc_hat": ("conductance_w_k",),
     "disc_radiation_driving": ("view_share",),
     "disc_wear": ("lost_share",),
+    "engine_heat": ("caliper_w",),
     "fluid_exchange": ("line_w_k", "pumping_w_k"),
     "fluid_latent_heat": ("heat_j",),
     "cooling_band": ("loss",),
