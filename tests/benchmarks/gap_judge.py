@@ -96,6 +96,9 @@ PLACES: Final[dict[str, tuple[str, str]]] = {
 """Nodes (heat input Q, disc D, front P and back B of the pads, fluid F) and
 phases (braking, driving, parked) of each effect."""
 
+DESCRIBED: Final = {"damper_heat": "engine_heat"}
+"""The entry that describes an effect of no catalogue, which is taken out."""
+
 _NODES: Final = {"disc": "D", "pad_front": "P", "pad_back": "B", "fluid": "F"}
 
 
@@ -347,7 +350,9 @@ def results_of(
     if group == "S0":
         return [one.answer(group), *_rivals(one, kept)]
     if group != "S1":
-        return [one.answer(group)]
+        described = [DESCRIBED.get(name, name) for name in case.effects]
+        known = without(one.known, described) if group == "SU" else one.known
+        return [one.answer(group, known)]
     alone = judged(case, garage, kept.of_drive(FITTED.index("simalp")))
     found = [
         one.answer(group),
