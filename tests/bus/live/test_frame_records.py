@@ -270,6 +270,19 @@ def test_plain_frames_are_decoded_without_a_look_at_each(
     assert found == one_by_one(plain_map(), frames)
 
 
+def test_each_of_many_extended_ids_is_found(live: BusExtension) -> None:
+    [plan, _] = plain_map().messages.values()
+    keys = [FrameKey(n % 2, 0x10000 + n, extended=True) for n in range(20)]
+    messages = {key: replace(plan, key=key) for key in keys}
+    signal_map = SignalMap(BUSES, messages, (1,))
+    frames = [Received(0, *key, bytes(8)) for key in keys]
+
+    found, single = in_runs(live, signal_map, frames)
+
+    assert single == 0
+    assert found == one_by_one(signal_map, frames)
+
+
 def test_more_samples_than_find_room_come_in_several_runs(
     live: BusExtension,
 ) -> None:

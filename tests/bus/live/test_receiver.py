@@ -411,6 +411,16 @@ def test_what_the_kernel_drops_is_counted(wire: Wire) -> None:
     wire.frame(CLASSIC.pack(2, 0, b""))
 
     assert wire.receiver.dropped == sent - came
+    assert wire.frames() == []
+    assert wire.receiver.dropped == sent - came
+
+
+def test_each_of_many_ids_is_let_through_and_none_between(wire: Wire) -> None:
+    wire.receiver.let_through({2 * number for number in range(1, 20)})
+
+    found = wire.frames(*(CLASSIC.pack(n, 0, b"") for n in range(50)))
+
+    assert [frame.can_id for frame in found] == list(range(2, 40, 2))
 
 
 def test_the_count_of_drops_wraps_at_32_bits(wire: Wire) -> None:

@@ -181,6 +181,23 @@ def test_every_line_of_the_grammar_in_one_log(
 
 
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [(b"00000100", b"20000100"), (b"00000100", b"80000100"), (b"7FF", b"800")],
+)
+def test_a_line_like_one_before_may_have_no_data_id(
+    tmp_path: Path, form: str, good: bytes, bad: bytes
+) -> None:
+    lines = [b"(%d.000000) can0 %s#00" % (n, good) for n in range(3)]
+    lines.insert(2, b"(1.500000) can0 %s#00" % bad)
+
+    reader, chunk = read(write(tmp_path, b"\n".join(lines)), form=form)
+
+    assert chunk.time_us.tolist() == [0, 1_000_000, 2_000_000]
+    assert sum(reader.refused.values()) == 1
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_an_unwanted_id_is_not_read_further(tmp_path: Path, form: str) -> None:
     content = b"(1.0) can0 100#XX\n(1.0) can0 200#XX\n(1.0) can1 200#00\n"
     wanted = {"can0": {(0x200, False)}, "can1": None}
