@@ -411,7 +411,7 @@ def test_the_sources_are_clean_with_standard_headers_and_sanitizers(
 ) -> None:
     """Two instances are stepped in turn, states saved and restored."""
     build = [
-        *("cc", "-g", "-O1", "-fsanitize=address,undefined"),
+        *("cc", "-g", "-O0", "-fsanitize=address,undefined"),
         "-fno-sanitize-recover=all",
     ]
 
