@@ -11,6 +11,7 @@ import subprocess
 import sys
 import sysconfig
 from dataclasses import dataclass
+from operator import mul
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -248,17 +249,20 @@ def shake(numbers: array[float], draw: random.Random) -> None:
     slope, at_0 = draw.choice([0.5, 1.0, 2.0]), draw.choice([-1.0, 0.0, 1.0])
     pressed = [draw.uniform(0.3, 4.0) for _ in range(draw.choice([15, 60]))]
     moved = [at_0 + slope * x + draw.gauss(0.0, 0.3) for x in pressed]
+    turn, lateral = (draw.choice([0.5, 5.0, 50.0]) for _ in range(2))
     sums = {
-        "count": float(len(pressed)),
-        "x": sum(pressed),
-        "y": sum(moved),
-        "xx": sum(x * x for x in pressed),
-        "xy": sum(x * y for x, y in zip(pressed, moved, strict=True)),
-        "yy": sum(y * y for y in moved),
-        "std": 0.1 * len(pressed),
+        "observer.balance_count": float(len(pressed)),
+        "observer.balance_x": sum(pressed),
+        "observer.balance_y": sum(moved),
+        "observer.balance_xx": sum(x * x for x in pressed),
+        "observer.balance_xy": sum(map(mul, pressed, moved)),
+        "observer.balance_yy": sum(y * y for y in moved),
+        "observer.balance_std": 0.1 * len(pressed),
+        "checks.turn_square": turn * turn,
+        "checks.lateral_square": lateral * lateral,
+        "checks.turn_lateral": draw.choice([0.3, 0.9, 1.0]) * turn * lateral,
     }
-    for name, value in sums.items():
-        path = f"observer.balance_{name}"
+    for path, value in sums.items():
         numbers[layout.first(SampleMemory, path)] = value
 
 
