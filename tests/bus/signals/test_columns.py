@@ -374,6 +374,7 @@ def output_row(
             "lengths": np.array([8, 8]),
             "by_hand": np.zeros(2, np.uint8),
         },
+        {"outputs": np.append(output_row(), 0)},
         {"outputs": output_row(base=-1)},
         {"outputs": output_row(base=1)},
         {"outputs": output_row(base=57)},
