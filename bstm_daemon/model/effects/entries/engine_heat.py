@@ -19,9 +19,9 @@ at rest, which cools as an exponential."""
 class EngineHeat(Effect):
     """Heat from beside the brake, once the car has been driven warm.
 
-    Of a radiator, an exhaust or a damper some hundred watts reach the wheel
-    house: its air is 5 to 15 K warmer at what the wind carries off, and the
-    caliper takes up a part by itself. Without ``local_air`` the model has no
+    A radiator, an exhaust or a damper warms the air of the wheel house, and
+    the caliper takes up a part by itself. The sizes are guesses without a
+    published source: 200 W warm the air by about 15 K at rest. Without ``local_air`` the model has no
     such air, and that part is left out.
     """
 
