@@ -21,8 +21,8 @@ class EngineHeat(Effect):
 
     A radiator, an exhaust or a damper warms the air of the wheel house, and
     the caliper takes up a part by itself. The sizes are guesses without a
-    published source: 200 W warm the air by about 15 K at rest. Without ``local_air`` the model has no
-    such air, and that part is left out.
+    published source: 200 W warm the air by about 15 K at rest. Without
+    ``local_air`` the model has no such air, and that part is left out.
     """
 
     number = 45
