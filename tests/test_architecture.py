@@ -84,8 +84,9 @@ no CAN."""
 C_ROOMS_BELOW = {
     "bus": set(),
     "heat": set(),
+    "risk": set(),
     "thermal": set(),
-    "python": {"heat", "thermal"},
+    "python": {"heat", "risk", "thermal"},
     "simulation": set(),
     "wrapper": {"heat", "thermal"},
 }

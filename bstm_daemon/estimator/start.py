@@ -13,7 +13,8 @@ from __future__ import annotations
 from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import isfinite
+from math import inf, isfinite
+from operator import sub
 from typing import Final
 
 from bstm_daemon.config.sections import Config
@@ -138,10 +139,15 @@ class StartBound:
             number, first, stride, group = layout.modelled[name]
             places = _places(group.state_names)
             cold, hot = outputs[number], bounds[number]
+            nearest_k = max(
+                min(map(sub, hot[at::stride], cold[at::stride]), default=inf)
+                for at in (first + place for place in places)
+            )
+            # where one node's never come near, none is looked at; a nan is
             found[name] = next(
                 (
                     i
-                    for i in range(count)
+                    for i in range(0 if nearest_k > AGREE_K else count)
                     if _agree(cold, hot, first + i * stride, places)
                 ),
                 count,

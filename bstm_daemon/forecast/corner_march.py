@@ -33,6 +33,10 @@ AIR_OFFSET_K: Final = 0.2
 """A ceiling for later forecasts is above the rises of now by the largest of
 the factors that is of use and by an offset, so that it lasts."""
 
+ROOM: Final = 0.15
+"""A node is above the air by this share of what is left to boiling, at least:
+behind a hot disc the cold ones warm many times over within a minute."""
+
 CLOSE: Final = FACTORS[-2:]
 """Those where vapour is likely: it tells when it is safe, too."""
 
@@ -85,7 +89,9 @@ class CornerMarch:
         self.ensemble, self._kernel = ensemble, kernel
         self._ceilings = Ceilings(ensemble)
         self._boiling: Boiling | None = None
-        self._raising: tuple[Heat, Boiling, Job] | None = None
+        self._raising: tuple[Heat, Boiling, Job, float] | None = None
+        self._excess = 1.0
+        """Rise of the last ceiling over the one that was expected of it."""
         self.raised_us: int | None = None
         """When the last ceiling above a march was begun."""
 
@@ -155,27 +161,30 @@ class CornerMarch:
         above_k = AIR_OFFSET_K + OFFSET_K + MARGIN_K + air_k
         is_likely = not boiling.mean_probability(peaks_k) < PROBABILITIES[0]
         for factor in CLOSE if is_likely else FACTORS:
-            expected_k = [above_k + factor * (one - air_k) for one in peaks_k]
+            rises = factor * self._excess
+            expected_k = [above_k + rises * (one - air_k) for one in peaks_k]
             probability = boiling.mean_probability(expected_k)
             if is_of_use is not None and is_of_use(probability):
                 break
         else:
             if is_of_use is not None:
                 return False
-        heat = self._heat(start)
+        heat, least_k = self._heat(start), 0.0
         if probability == 0.0:
             # there is room: no spread is left that might not be covered
             heat = ensemble.highest(heat)
+            least_k = ROOM * (boiling.lowest_k - heat.ambient_k)
             factor = max(factor / UNSPREAD, FACTORS[-1])
         higher_k = heat.ambient_k + AIR_OFFSET_K
         state = [
-            higher_k + OFFSET_K + factor * max(one, 0.0)
+            higher_k + OFFSET_K + max(factor * one, least_k)
             for one in heat.rises_k
         ] + [*start.state[ensemble.nodes :]]
         self._raising = (
             ensemble.heat(state, higher_k, heat.factor),
             boiling,
             self._begin(state, higher_k, heat.factor),
+            (max(expected_k) - air_k) / self._excess,
         )
         return True
 
@@ -183,11 +192,14 @@ class CornerMarch:
         """March at most *steps* of a ceiling; return whether there was one."""
         if self._raising is None:
             return False
-        heat, boiling, job = self._raising
+        heat, boiling, job, expected_k = self._raising
         course = marched(job, steps, boiling)
         if course is not None:
+            peaks_k, safe_in_s = found_by(course, boiling)
+            rise_k = max(peaks_k) - heat.ambient_k
+            self._excess = max(1.0, rise_k / expected_k)
             if boiling is self._boiling:
-                self._ceilings.keep(heat, *found_by(course, boiling))
+                self._ceilings.keep(heat, peaks_k, safe_in_s)
             self._raising = None
         return True
 

@@ -20,9 +20,10 @@ REBUILD: Final = "pip install -e ."
 
 
 class Kernel(Protocol):
-    """The functions of the extension module; both take flat buffers."""
+    """The functions of the extension module; all take flat buffers."""
 
     march: Callable[..., None]
+    mean_probability: Callable[..., float]
     sample_pass: Callable[..., tuple[int, int, int]]
 
 

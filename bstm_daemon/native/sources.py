@@ -56,6 +56,7 @@ SOURCES: Final = {
         "native/heat/pressure_checks.c",
         "native/heat/sample_pass.c",
         "native/python/kernel.c",
+        "native/risk/vaporisation.c",
         "native/thermal/march.c",
     ),
     "native._bus": (

@@ -104,8 +104,8 @@ ROOMS: Final = {
     ),
     "native/heat": Room(("native/heat/*.[ch]",), ("model/heat",), GOLDEN),
     "native/thermal": Room(
-        ("native/thermal/*.[ch]", "native/python/*.c"),
-        ("model/thermal",),
+        ("native/thermal/*.[ch]", "native/risk/*.[ch]", "native/python/*.c"),
+        ("model/thermal", "model/risk/test_vaporisation.py"),
         GOLDEN,
     ),
     "native/bus": Room(

@@ -436,6 +436,71 @@ def test_a_march_bounds_later_ones_and_one_is_made_for_it() -> None:
     assert set(unknown.most_k) == {inf}
 
 
+@needs_kernel
+def test_a_ceiling_that_was_higher_than_expected_teaches_the_next() -> None:
+    """Radiation brings more than three times the heat to the fluid."""
+    ensemble = members("thesis", 0, ())
+    march = CornerMarch(ensemble, KERNEL)
+    state = state_of(ensemble.program, [AIR_K] * ensemble.nodes)
+    state[ensemble.program.state_names.index("disc")] = 600.0
+    start = Start(state, Conditions(AIR_K), 1.0, Boiling([200.0, 201.0]))
+    job = march.begin(start)
+    job.advance(1000)
+    peaks_k = job.course().peaks_k(HORIZON_S)
+    # the mean of temperatures above the base can be read from the risk
+    base_k = max(peaks_k)
+    boiling = Boiling([base_k + i for i in range(2001)])
+    start = start._replace(boiling=boiling)
+
+    def expected_k() -> float:
+        """Return the mean that is expected of the largest factor."""
+        asked: list[float] = []
+        assert march.raise_ceiling(
+            start, peaks_k, lambda p: asked.append(p) or True
+        )
+        return base_k + 2000.0 * asked[0]
+
+    assert max(march.range_k(start, is_present=True).most_k) > 600.0
+    first_k = expected_k()
+    while march.work_ahead(50):
+        pass
+    (made,) = march._ceilings._kept
+    second_k = expected_k()
+
+    above_k = AIR_K + MARGIN_K + 0.5
+    rise_k = sum(peaks_k) / len(peaks_k) - AIR_K
+    assert first_k == pytest.approx(above_k + 3.0 * rise_k, abs=1.0)
+    expected_top_k = above_k + 3.0 * (base_k - AIR_K)
+    excess = (made.top_k - MARGIN_K - AIR_K) / (expected_top_k - AIR_K)
+    assert excess > 1.9
+    assert second_k == pytest.approx(above_k + 3.0 * excess * rise_k, abs=1.0)
+
+
+@needs_kernel
+def test_a_ceiling_leaves_room_for_what_warms_behind_a_hot_disc() -> None:
+    ensemble = members("thesis", 0, ())
+    march = CornerMarch(ensemble, KERNEL)
+    state = state_of(ensemble.program, [AIR_K] * ensemble.nodes)
+    state[0] = 400.0
+    boiling = Boiling([AIR_K + 100.0, 600.0])
+    start = Start(state, Conditions(AIR_K), 1.0, boiling)
+
+    def most_k(behind_k: float, disc_k: float) -> float:
+        warmer = [disc_k, *(behind_k for _ in state[1:])]
+        found = march.range_k(start._replace(state=warmer), is_present=True)
+        return max(found.most_k)
+
+    assert most_k(AIR_K, 400.0) > 400.0
+    assert march.raise_ceiling(start, [AIR_K + 10.0], lambda _: True)
+    while march.work_ahead(50):
+        pass
+
+    # of the 100 K, less the spread of the members
+    assert most_k(AIR_K + 10.0, 400.0) < AIR_K + 100.0
+    assert most_k(AIR_K + 16.0, 400.0) > 400.0
+    assert most_k(AIR_K + 10.0, 650.0) > 650.0
+
+
 @pytest.mark.parametrize("effect", sorted(effect_names()))
 def test_each_effect_keeps_the_order_or_is_named(effect: str) -> None:
     try:

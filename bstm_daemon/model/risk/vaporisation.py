@@ -14,6 +14,7 @@ begins some kelvin below the equilibrium reflux boiling point that standards
 speak of.
 """
 
+from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
@@ -25,6 +26,7 @@ from typing import Final, NamedTuple
 from bstm_daemon.model.risk.boiling import BOILING_POINTS
 from bstm_daemon.model.risk.sequence import unit_draws
 from bstm_daemon.model.risk.water import Water
+from bstm_daemon.native.loader import load_kernel
 
 WET_WATER_PERCENT: Final = 3.7
 """Water of a fluid humidified as FMVSS 116 S6.2 asks."""
@@ -89,11 +91,13 @@ class Boiling:
             for i in range(size)
         ]
         # within each kelvin the share of the fluids is a line
-        self._lines = [
-            (left - (right - left) * (self._low + i), right - left)
-            for i, (left, right) in enumerate(pairwise(shares))
-        ]
-        self._high = self._low + len(self._lines)
+        self._lines = array("d")
+        for i, (left, right) in enumerate(pairwise(shares)):
+            rise = right - left
+            self._lines.extend((left - rise * (self._low + i), rise))
+        self._count = size - 1
+        kernel = load_kernel()
+        self._compiled = None if kernel is None else kernel.mean_probability
 
     @property
     def lowest_k(self) -> float:
@@ -105,27 +109,22 @@ class Boiling:
 
         NaN of NaN: an estimate that is no number is not a safe one.
         """
-        if not temperature_k > self._low:
-            return nan if isnan(temperature_k) else 0.0
-        if temperature_k >= self._high:
-            return 1.0
-        share, rise = self._lines[int(temperature_k - self._low)]
-        return share + rise * temperature_k
+        return self.mean_probability((temperature_k,))
 
     def mean_probability(self, temperatures_k: Sequence[float]) -> float:
         """Return the mean probability over *temperatures_k*; NaN of none."""
-        if not temperatures_k:
+        if self._compiled is not None:
+            return self._compiled(self._lines, self._low, temperatures_k)
+        if not temperatures_k or isnan(sum(temperatures_k)):
             return nan
-        if isnan(sum(temperatures_k)):
-            return nan
-        low, high, lines = self._low, self._high, self._lines
+        low, count, lines = self._low, self._count, self._lines
         found = 0.0
-        # as probability(), without a call for each
         for kelvin in temperatures_k:
             if kelvin > low:
-                if kelvin < high:
-                    share, rise = lines[int(kelvin - low)]
-                    found += share + rise * kelvin
+                above_k = kelvin - low
+                if above_k < count:
+                    at = 2 * int(above_k)
+                    found += lines[at] + lines[at + 1] * kelvin
                 else:
                     found += 1.0
         return found / len(temperatures_k)

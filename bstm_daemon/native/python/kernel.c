@@ -1,11 +1,12 @@
 /* The extension module: what Python hands over is checked here, so that no
- * array can make the march (thermal/march.c) or the pass over samples
- * (heat/sample_pass.c) read outside.
+ * array can make the march (thermal/march.c), the pass over samples
+ * (heat/sample_pass.c) or the risk (risk/vaporisation.c) read outside.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
 #include "../heat/sample_pass.h"
+#include "../risk/vaporisation.h"
 #include "../thermal/march.h"
 
 #define WORDS(layout) ((Py_ssize_t)(sizeof(layout) / 8))
@@ -213,15 +214,48 @@ static PyObject *py_sample_pass(PyObject *Py_UNUSED(self), PyObject *args)
     return Py_BuildValue("nni", first, p.steps, code);
 }
 
+PyDoc_STRVAR(mean_probability_doc,
+"mean_probability(lines, low_k, temperatures_k)\n\n"
+"See model/risk/vaporisation.py. lines: float64 [kelvins, 2].");
+
+static PyObject *py_mean_probability(PyObject *Py_UNUSED(self),
+                                     PyObject *args)
+{
+    static const int writable[1] = {0}, wide[1] = {8};
+    PyObject *lines, *kelvins;
+    Py_buffer view;
+    Vapour sum = {0};
+    if (!PyArg_ParseTuple(args, "OdO", &lines, &sum.low_k, &kelvins))
+        return NULL;
+    const Py_ssize_t count = PySequence_Size(kelvins);
+    if (count < 0 || buffers(1, &lines, writable, wide, &view) < 0)
+        return NULL;
+    sum.lines = view.buf;
+    sum.count = view.len / 16;
+    int failed = 0;
+    for (Py_ssize_t i = 0; i < count && !failed; i++) {
+        PyObject *const item = PySequence_GetItem(kelvins, i);
+        const double kelvin = item == NULL ? -1.0 : PyFloat_AsDouble(item);
+        failed = kelvin == -1.0 && PyErr_Occurred() != NULL;
+        Py_XDECREF(item);
+        vaporisation_add(&sum, kelvin);
+    }
+    PyBuffer_Release(&view);
+    if (failed) return NULL;
+    return PyFloat_FromDouble(vaporisation_mean(&sum, (double)count));
+}
+
 static PyMethodDef methods[] = {
     {"march", py_march, METH_VARARGS, march_doc},
+    {"mean_probability", py_mean_probability, METH_VARARGS,
+     mean_probability_doc},
     {"sample_pass", py_sample_pass, METH_VARARGS, sample_pass_doc},
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT, "_kernel",
-    "Compiled step of a thermal network and compiled pass over samples.", -1,
+    "Compiled step of a thermal network, pass over samples, and risk.", -1,
     methods, NULL, NULL, NULL, NULL,
 };
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 Column = npt.NDArray[np.float64]
 
-STRETCH_ROWS: Final = 512
-"""Rows handed on at a time: some 2 MB of numbers, and enough of them that
+STRETCH_ROWS: Final = 2048
+"""Rows handed on at a time: some 8 MB of numbers, and enough of them that
 what is done once a stretch costs little."""
 
 

@@ -1,7 +1,9 @@
 """The boiling point as a distribution."""
 
+from array import array
 from itertools import pairwise
 from math import isnan
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -15,7 +17,11 @@ from bstm_daemon.model.risk.vaporisation import (
     boiling_point_k,
 )
 from bstm_daemon.model.risk.water import Water, water_measured, water_of_age
+from bstm_daemon.native.loader import load_kernel
 from bstm_daemon.units import KELVIN_OFFSET, to_celsius
+
+KERNEL = load_kernel()
+needs_kernel = pytest.mark.skipif(KERNEL is None, reason="not installed")
 
 
 @pytest.mark.parametrize(
@@ -207,6 +213,54 @@ def test_mean_probability_is_that_of_every_temperature() -> None:
     assert narrow.probability(400.2) == pytest.approx(0.6)
     assert narrow.mean_probability([400.2]) == narrow.probability(400.2)
     assert narrow.probability(401.0) == 1.0
+
+
+@needs_kernel
+@given(
+    st.lists(st.floats(300.0, 600.0), min_size=2, max_size=20),
+    st.lists(st.floats() | st.floats(290.0, 610.0), max_size=20),
+)
+def test_both_forms_have_the_same_mean_to_the_last_bit(
+    points_k: list[float], temperatures_k: list[float]
+) -> None:
+    compiled = Boiling(points_k)
+    reference = Boiling(points_k)
+    reference._compiled = None
+
+    for series in (temperatures_k, tuple(temperatures_k)):
+        found = compiled.mean_probability(series)
+        expected = reference.mean_probability(series)
+        assert found == expected or (isnan(found) and isnan(expected))
+
+
+@needs_kernel
+@pytest.mark.parametrize(
+    ("lines", "temperatures_k", "error"),
+    [
+        (array("f", [0.0, 1.0]), [300.0], ValueError),
+        ([0.0, 1.0], [300.0], TypeError),
+        (array("d", [0.0, 1.0]), ["hot"], TypeError),
+        (array("d", [0.0, 1.0]), 300.0, TypeError),
+    ],
+)
+def test_the_compiled_mean_refuses_what_is_no_number(
+    lines: Any, temperatures_k: Any, error: type[Exception]
+) -> None:
+    assert KERNEL is not None
+    with pytest.raises(error):
+        KERNEL.mean_probability(lines, 300.0, temperatures_k)
+    lines.append(0.0)  # which would fail, were it held
+
+
+@needs_kernel
+def test_the_compiled_mean_reads_no_line_that_is_not_there() -> None:
+    assert KERNEL is not None
+    odd = array("d", [0.25, 0.0, 0.5])
+
+    found = KERNEL.mean_probability(odd, 300.0, [300.5, 301.5])
+
+    assert found == (0.25 + 1.0) / 2.0
+    odd.append(0.0)
 
 
 def test_points_far_apart_and_close_together() -> None:
