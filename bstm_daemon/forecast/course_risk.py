@@ -379,15 +379,19 @@ class CourseRisk:
         """
         corner, time_us = self._corners[place], forecast.time_us
 
+        leasts = [
+            (level, forecast.boiling.mean_probability(least_k))
+            for level, least_k in (
+                (corner.level, forecast.least_k[place]),
+                (self._level, hottest(forecast.least_k)),
+            )
+        ]
+
         def is_of_use(probability: float) -> bool:
+            # the car may have another, hotter corner
             return all(
-                level.is_sure(
-                    forecast.boiling.mean_probability(least_k), probability
-                )
-                for level, least_k in (
-                    (corner.level, forecast.least_k[place]),
-                    (self._level, hottest(forecast.least_k)),
-                )
+                level.is_sure(least, max(least, probability))
+                for level, least in leasts
             )
 
         of = forecast.starts[place], forecast.ranges[place].most_k

@@ -665,3 +665,31 @@ def test_when_a_march_is_begun_for_later_forecasts(
     assert course._raising == [ours] * len(asked)
     if asked:
         assert ours.raised_us == START_US
+
+
+def test_a_ceiling_of_one_corner_is_of_use_beside_a_hotter_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    course = Watched("FL", "FR").monitor.course
+    found = []
+
+    def raise_ceiling(_start: Any, _most_k: Any, is_of_use: Any) -> bool:
+        found.extend(map(is_of_use, (0.0, 0.005, 1.0)))
+        return False
+
+    monkeypatch.setattr(
+        course._corners[0].march, "raise_ceiling", raise_ceiling
+    )
+    boiling = FluidKnowledge(car("FL").fluid).boiling(START_US)
+    ranges = [Range([300.0], [300.0]), Range([LIKELY_K], [inf])]
+    assert 0.01 < boiling.probability(LIKELY_K) < 0.1
+    forecast: Any = CarForecast(
+        *(course._marched, START_US, [None, None], ranges, boiling),
+        at_stop=False,
+        wait=0,
+    )
+    forecast.marched = {0: None}
+
+    course._raise_ceiling(forecast, 0)
+
+    assert found == [True, True, False]
