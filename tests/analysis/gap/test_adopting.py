@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.adopting import _provenance
+from bstm_daemon.analysis.gap.fitting import FORM_ERROR, NINETY, Fit
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.reading import load_config
@@ -62,3 +69,35 @@ def test_terms_of_a_composed_effect_are_its_parameters(tmp_path: Path) -> None:
     assert entry.parameters == {**terms, next(iter(terms)): 4.2}
     program = compile_corner(config, config.corner[0])
     assert set(terms) <= set(program.ledger_names)
+
+
+def test_where_a_strength_comes_from_is_written_beside_it() -> None:
+    """In the size that is written, twice that of the search."""
+    comparison: Any = SimpleNamespace(
+        sizes={"hub_heat": 2.0}, drive_names=("a.log", "b.log")
+    )
+    naming: Any = SimpleNamespace(
+        candidates=[
+            SimpleNamespace(name="disc_hat", log_evidence=3.0),
+            SimpleNamespace(name="hub_heat", log_evidence=12.34),
+        ],
+        provenance={"hub_heat": {"probability": 0.99}}.get,
+    )
+    fit = Fit(np.zeros(1), {"hub_heat": 1.5}, {"hub_heat": 0.1234}, 0.0)
+    sd = np.hypot(0.1234, 1.5 * FORM_ERROR)
+
+    found = _provenance(comparison, fit, naming, "hub_heat")
+
+    date = found.pop("date")
+    assert len(date) == len("2026-01-31")
+    assert found == {
+        "source": "bstm gap",
+        "data": ["a.log", "b.log"],
+        "strength_sd": round(2.0 * sd, 3),
+        "strength_90": [
+            pytest.approx(2.0 * (1.5 + sign * NINETY * sd), abs=5e-4)
+            for sign in (-1.0, 1.0)
+        ],
+        "probability": 0.99,
+        "log_bayes_factor": 12.3,
+    }

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap import fitting
+from bstm_daemon.analysis.gap.changes import HEAT_SCALE
 from bstm_daemon.analysis.gap.fitting import (
     FORM_ERROR,
     NINETY,
@@ -16,6 +17,7 @@ from bstm_daemon.analysis.gap.fitting import (
     directions,
     fit,
     prior_along,
+    scale_basis,
 )
 from bstm_daemon.analysis.gap.signatures import sensed
 from bstm_daemon.analysis.gap.workflow import compare
@@ -108,3 +110,24 @@ def test_a_flat_table_that_is_not_fitted_ties_nothing(
     made: Any = SimpleNamespace(keys=["a", "b"], target=None, matched=False)
 
     assert directions(made).tolist() == np.eye(2).tolist()
+
+
+@pytest.mark.parametrize(
+    ("keys", "columns"),
+    [
+        (
+            ["other", HEAT_SCALE, *S_SPEEDS_MS],
+            [[0.0, 1.0, *(0.0 for _ in S_SPEEDS_MS)],
+             [0.0, 0.0, *(1.0 for _ in S_SPEEDS_MS)]],
+        ),
+        (["other", HEAT_SCALE], [[0.0, 1.0]]),
+        ([next(iter(S_SPEEDS_MS)), "other"], [[1.0, 0.0]]),
+        (["other"], []),
+    ],
+)  # fmt: skip
+def test_heat_and_cooling_are_moved_as_wholes(
+    keys: list[str], columns: list[list[float]]
+) -> None:
+    made: Any = SimpleNamespace(keys=keys)
+
+    assert scale_basis(made).T.tolist() == columns

@@ -15,6 +15,7 @@ from bstm_daemon.analysis.gap.force_balance import (
     COLD_C,
     FRICTION,
     ForceComparison,
+    bedded_n,
     drag_n,
     held_n,
 )
@@ -22,6 +23,7 @@ from bstm_daemon.analysis.gap.forces import _motion_n, forces
 from bstm_daemon.analysis.gap.form import DAILY
 from bstm_daemon.analysis.gap.heat_only import (
     LEARNED,
+    NOTHING_SEEN,
     ForceGap,
     _at_bound,
     find_force_gap,
@@ -95,10 +97,20 @@ def test_a_strength_at_its_bound_is_told(
     assert _at_bound("friction_fade", strength) is at_bound
 
 
-@pytest.mark.parametrize("slope", ["flat", "accelerometer"])
-def test_the_force_of_a_drive_is_its_equation_of_motion(slope: str) -> None:
+@pytest.mark.parametrize(
+    ("slope", "bias"),
+    [("flat", 0.0), ("accelerometer", 0.0), ("accelerometer", 0.3)],
+)
+def test_the_force_of_a_drive_is_its_equation_of_motion(
+    slope: str, bias: float
+) -> None:
     """Eq 4.11 on a car that slows evenly, by speed or accelerometer."""
     config, present = car()
+    known = EffectConfig(
+        name="accelerometer_bias",
+        parameters={"strength": 1.0, "bias_ms2": bias},
+    )
+    config = config.model_copy(update={"effect": (known,) if bias else ()})
     heat = config.heat.model_copy(update={"slope": slope})
     config = config.model_copy(update={"heat": heat})
     steps = 60
@@ -120,7 +132,9 @@ def test_the_force_of_a_drive_is_its_equation_of_motion(slope: str) -> None:
     drag = (car_of.quadratic * speed + car_of.linear) * speed + car_of.constant
     inertia = -2.0 * (car_of.mass_kg + car_of.rotating_mass_kg)
     if slope == "accelerometer":
-        inertia = -1.5 * car_of.mass_kg - 2.0 * car_of.rotating_mass_kg
+        inertia = (
+            -(1.5 + bias) * car_of.mass_kg - 2.0 * car_of.rotating_mass_kg
+        )
     wanted = 400.0 / config.vehicle.wheel_radius_m - drag - inertia
     assert force == pytest.approx(wanted)
     assert has_accelerometer is (slope == "accelerometer")
@@ -151,6 +165,26 @@ def test_pads_that_rub_brake_by_their_torque_while_released() -> None:
     corners = len(config.disc_corners())
     wanted = corners * wheel_n * np.array([1.0, 0.75, 0.0])
     assert found == pytest.approx(wanted, rel=1e-3)
+
+
+def test_linings_lose_friction_with_their_first_heat() -> None:
+    effect = effect_class("friction_history")(
+        {"strength": 1.0, "drop": 0.2, "bedding_energy_j": 1.0e5}
+    )
+    part: Any = SimpleNamespace(
+        time_s=np.array([0.0, 1.0, 2.0]),
+        speed_ms=np.array([10.0, 10.0, 10.0]),
+        pressed_n=np.array([[0.0, 5000.0, 5000.0], [0.0, 0.0, 2000.0]]),
+    )
+    none: Any = None
+
+    found = bedded_n(effect, none, part, none)
+
+    # after 50 and 100 kJ, and 20 kJ
+    half, whole, little = (0.2 * (1.0 - np.exp(-x)) for x in (0.5, 1.0, 0.2))
+    assert found == pytest.approx(
+        [0.0, -5000.0 * half, -(5000.0 * whole + 2000.0 * little)]
+    )
 
 
 @pytest.mark.slow
@@ -208,6 +242,7 @@ def test_braking_without_pressure_is_named() -> None:
     found = find_force_gap(car()[0], [driven("assist", {})])
 
     assert found.naming.answer == "name"
+    assert found.naming.reason != NOTHING_SEEN
     assert found.naming.names[0] == "brake_without_pressure"
     assert found.strengths["brake_without_pressure"] > 0.7
     assert found.motion_j > 5.0 * found.pressed_j

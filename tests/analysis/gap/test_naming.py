@@ -17,7 +17,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     REFITTED,
     show,
 )
-from bstm_daemon.analysis.gap.naming import Naming, name_effect
+from bstm_daemon.analysis.gap.naming import Naming, cosine, name_effect
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
@@ -324,20 +324,91 @@ def test_an_effect_as_good_at_other_times_is_not_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cosine", "kind"), [(0.90, "undecided"), (0.93, "undecided"),
+    ("others", "answered"), [(24, "unknown"), (8, "name"), (0, "name")]
+)
+def test_a_name_must_explain_most_of_what_all_together_could(
+    others: int, answered: str
+) -> None:
+    """None of the others is plain, and 24 of them explain half of it."""
+    first, *rest = effect_names()[: others + 1]
+    columns = {first: spike(0, 6.0)}
+    columns |= {name: spike(5 * i + 5, 2.2) for i, name in enumerate(rest)}
+    residual = -sum(columns.values())
+
+    found = answer(residual, columns)
+
+    # half of the squares, less what chance explains
+    gain, left = 0.5 * 36.0, others * (0.5 * 2.2**2 - 0.5)
+    assert found.explained == pytest.approx(gain / (gain + left), rel=0.1)
+    assert found.answer == answered
+    if answered == "unknown":
+        assert found.names == ()
+        assert found.reason == (
+            f"the best, {first}, explains {100 * found.explained:.0f} % of "
+            "what all together could"
+        )
+
+
+class TwoDrives(Grid):
+    """The points of two drives, 100 of each."""
+
+    drive_names = ("first", "second")
+
+    def slices(self, drive: int) -> list[slice]:
+        return [slice(100 * drive, 100 * drive + 100)]
+
+
+@pytest.mark.parametrize(
+    ("reading", "named"), [(-1.0, True), (0.0, True), (2.5, False)]
+)
+def test_a_drive_may_speak_a_little_against_an_effect(
+    reading: float, *, named: bool
+) -> None:
+    """What the others predict there may be wrong by chance, not by far."""
+    own = spike(0, 8.0) + spike(100, 2.4)
+    residual = -spike(0, 8.0) + reading * spike(100)
+    zero = np.zeros(200)
+    signature = Signature("hub_conduction", own, zero, own, either_sign=False)
+    layout: Any = TwoDrives()
+
+    found = name_effect(
+        layout, Linearised(residual, np.zeros((200, 2)), (signature,), (), ())
+    )
+
+    # of a density at 2.4 below 0 against one at 0
+    against = 0.5 * ((reading + 2.4) ** 2 - reading**2)
+    assert found.cross_validated["second"] == pytest.approx(-against, abs=1.2)
+    assert (found.answer == "name") is named
+
+
+def test_what_is_not_seen_is_like_nothing() -> None:
+    project = Projector(np.zeros((200, 2)), ONES)
+    zero = np.zeros(200)
+
+    def of(column: Any) -> Signature:
+        return Signature("a", column, zero, column, either_sign=False)
+
+    assert cosine(project, of(zero), of(spike(3))) == 0.0
+    assert cosine(project, of(spike(3, 2.0)), of(spike(3))) == (
+        pytest.approx(1.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("likeness", "kind"), [(0.90, "undecided"), (0.93, "undecided"),
                          (0.96, "class"), (0.99, "class")]
 )  # fmt: skip
 def test_a_class_is_of_signatures_that_are_alike(
-    cosine: float, kind: str
+    likeness: float, kind: str
 ) -> None:
     """No twins by declaration; equal evidence for both."""
     one, other = "hub_conduction", "pad_wear"
     assert other not in effect_class(one).twins
     assert one not in effect_class(other).twins
-    apart = np.sqrt(1.0 - cosine**2)
+    apart = np.sqrt(1.0 - likeness**2)
     columns = {
         one: spike(3, 6.0),
-        other: 6.0 * (cosine * spike(3) + apart * spike(90)),
+        other: 6.0 * (likeness * spike(3) + apart * spike(90)),
     }
 
     found = answer(-0.5 * (columns[one] + columns[other]), columns)

@@ -10,6 +10,9 @@ import pytest
 
 from bstm_daemon.analysis.gap.residual_heat import (
     REGIMES,
+    Cell,
+    NodeHeat,
+    _places,
     locate,
     regimes,
     residual_heat,
@@ -115,3 +118,63 @@ def test_a_drive_shorter_than_a_window_has_none(
     short = replace(drive, inputs=drive.inputs[:20])
 
     assert residual_heat(config, short, "FL") == []
+
+
+def heat_of(node: str, missing_j: list[float], first: int = 0) -> NodeHeat:
+    """Return windows while parked, one each half minute from *first* on."""
+    count = len(missing_j)
+    return NodeHeat(
+        *("a drive", "FL", node),
+        time_s=30.0 * (first + np.arange(count)),
+        missing_j=np.array(missing_j),
+        draws_j=np.zeros((2, count)),
+        regime=np.full(count, REGIMES.index("parked")),
+        temperature_k=np.full(count, 300.0),
+        speed_ms=np.zeros(count),
+        pressure_pa=np.zeros(count),
+    )
+
+
+@pytest.mark.parametrize(
+    ("of_pad", "first", "linked"),
+    [
+        # what one lacks the other has too much, window by window
+        ([-9.0, -1.0, -5.0, -9.0, -2.0, -6.0, -8.0, -4.0], 0, True),
+        # alike in sum, not in time
+        ([-1.0, -9.0, -1.0, -1.0, -9.0, -1.0, -1.0, -9.0], 0, False),
+        # only windows of the same time count
+        ([-9.0, -1.0, -5.0, -9.0, -2.0, -6.0, -8.0, -4.0], 20, False),
+        # the same sign is no link
+        ([9.0, 1.0, 5.0, 9.0, 2.0, 6.0, 8.0, 4.0], 0, False),
+    ],
+)
+def test_a_link_is_where_two_nodes_are_wrong_against_each_other(
+    of_pad: list[float],
+    first: int,
+    linked: bool,  # noqa: FBT001
+) -> None:
+    of_disc = [9.0, 1.0, 5.0, 9.0, 2.0, 6.0, 8.0, 4.0]
+    heats = [heat_of("disc", of_disc), heat_of("pad_front", of_pad, first)]
+    cells = [
+        Cell("disc", "parked", "cold", 44.0, 4.0, 8),
+        # of several the plainest counts, and of alike ones the first
+        Cell("disc", "parked", "hot", -36.0, 3.0, 8),
+        Cell("disc", "parked", "hotter", 60.0, 5.0, 8),
+        Cell("pad_front", "parked", "cold", sum(of_pad), 4.5, 8),
+        Cell("pad_front", "driving", "cold", 1.0, 1.0, 8),
+    ]
+
+    found = _places(heats, cells)
+
+    z = abs(sum(of_pad)) / 4.5
+    if linked:
+        (link,) = found
+        assert (link.node, link.other) == ("disc", "pad_front")
+        assert (link.energy_j, link.z) == (-36.0, pytest.approx(z))
+        assert str(link) == "disc - pad_front, parked"
+    else:
+        assert [(one.node, one.other) for one in found] == [
+            ("disc", ""),
+            ("pad_front", ""),
+        ]
+        assert [one.z for one in found] == [12.0, pytest.approx(z)]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.comparison import at_steps
 from bstm_daemon.analysis.gap.fitting import directions
-from bstm_daemon.analysis.gap.searching import search
-from bstm_daemon.analysis.gap.signatures import forms_of, sensed
+from bstm_daemon.analysis.gap.searching import _far, _in_best_forms, search
+from bstm_daemon.analysis.gap.signatures import Sensed, forms_of, sensed
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.thermocouples import Thermocouple
 from bstm_daemon.analysis.matching.tunables import targets_of
@@ -49,6 +50,66 @@ def test_the_form_that_is_there_is_taken(
         assert costs["disc_hat"] == 0.0
     _, effects = comparison.placed(comparison.start, {"clock_offset": 2.0})
     assert effects[0].parameters == {"strength": 2.0, **drifting}
+
+
+def test_each_effect_is_taken_in_the_form_that_explains_more() -> None:
+    """And what the choice costs is its evidence over the mean of both."""
+    rising, falling = np.linspace(0.0, 5.0, 40), np.linspace(5.0, 0.0, 40)
+    flat = np.zeros(40)
+    simulated = Sensed(
+        base_k=-rising,
+        jacobian_k=np.zeros((40, 1)),
+        terms_k={
+            "clock_offset": np.array([falling, flat]),
+            "thermocouple_lag": np.array([rising, flat]),
+            "disc_hat": np.array([falling, flat]),
+        },
+        silent=(),
+        unknown_k=(),
+        forms_k={
+            "clock_offset": (np.array([rising, flat]),),
+            "thermocouple_lag": (np.array([falling, flat]),),
+        },
+    )
+    comparison: Any = SimpleNamespace(forms={})
+    layout: Any = SimpleNamespace(prior=np.ones(1), whiten=lambda k: k)
+
+    found = _in_best_forms(comparison, layout, simulated)
+
+    for name, terms in found.terms_k.items():
+        expected = falling if name == "disc_hat" else rising
+        assert terms[0].tolist() == expected.tolist()
+    # the other one explains next to nothing
+    assert found.form_costs == {
+        name: pytest.approx(np.log(2.0), abs=0.01)
+        for name in ("clock_offset", "thermocouple_lag")
+    }
+    assert comparison.forms == {"clock_offset": forms_of("clock_offset")[0]}
+
+
+def test_large_changes_at_the_head_are_simulated_where_they_are() -> None:
+    sizes = {
+        "hub_heat": 9.0,
+        "change.a": 0.7,
+        "change.b": -0.8,
+        "change.c": 0.9,
+        "change.fifth": 2.0,
+        "change.named": 1.5,
+        "change.done": 3.0,
+    }
+    naming: Any = SimpleNamespace(
+        candidates=[
+            SimpleNamespace(name=name, strength=size)
+            for name, size in sizes.items()
+        ],
+        names=("change.named", "change.done"),
+    )
+
+    assert _far(naming, {"change.done": 1.0}) == {
+        "change.b": -0.8,
+        "change.c": 0.9,
+        "change.named": 1.5,
+    }
 
 
 @pytest.mark.slow

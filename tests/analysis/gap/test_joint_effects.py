@@ -1,0 +1,42 @@
+"""Twins: which of two is only the other's error of form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bstm_daemon.analysis.gap.changes import are_twins
+from bstm_daemon.analysis.gap.evidence import weigh
+from bstm_daemon.analysis.gap.joint_effects import _Search
+from bstm_daemon.analysis.gap.signatures import Linearised, Signature
+from bstm_daemon.analysis.statistics.evidence import Projector
+
+
+@pytest.mark.parametrize("strength", [0.5, 2.0])
+def test_a_twin_that_makes_up_for_a_strength_is_no_second_effect(
+    strength: float,
+) -> None:
+    """What one does at its strength is not that times what it does at 1."""
+    one, other = "thermocouple_lag", "clock_offset"
+    assert are_twins(one, other)
+    linear = np.zeros(900)
+    linear[:10] = 9.0
+    curved = np.zeros(900)
+    curved[10:20] = 4.0
+    signatures = (
+        Signature(one, linear, curved, linear + curved, either_sign=False),
+        Signature(*(other, curved, np.zeros(900), curved), either_sign=True),
+    )
+    project = Projector(np.zeros((900, 1)), np.ones(1))
+
+    def is_form(residual: np.ndarray) -> bool:
+        linearised = Linearised(
+            *(residual, np.zeros((900, 1)), signatures, (), ())
+        )
+        found = [weigh(project, residual, each) for each in signatures]
+        return _Search(project, linearised, found).is_form(one, other)
+
+    own = signatures[0].at(strength)
+    assert is_form(-own)
+    # far more of it than the form of the one
+    assert not is_form(-own + 6.0 * curved)
