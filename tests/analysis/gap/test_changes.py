@@ -192,6 +192,9 @@ def test_a_change_is_said_in_plain_words() -> None:
     strength = np.log(0.66) / STEP
 
     assert factor_of("change.disc_air", strength) == pytest.approx(0.66)
+    (heat,) = (n for n, kind in KINDS.items() if HEAT_SCALE in kind.keys)
+    # all heat is known better than one coefficient
+    assert factor_of(f"change.{heat}", 1.0) == pytest.approx(1.2214, abs=1e-4)
     assert said("change.disc_air", strength) == (
         "convection from the disc to the wheel well -34 % since the match: "
         "rim or wheel cover closed, cooling duct blocked?"

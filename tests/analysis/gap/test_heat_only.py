@@ -293,7 +293,7 @@ def test_without_torque_there_is_no_force() -> None:
     config = config.model_copy(update={"heat": heat})
     recording = recorded("x", [samples_of(simulated, blind)], config, blind)
 
-    with pytest.raises(LogError, match="torque"):
+    with pytest.raises(LogError, match=r"x: .* this needs speed, and torque"):
         find_force_gap(config, [recording])
 
 
