@@ -3,8 +3,8 @@
 ``mutants.py [ROOM ...] [--count N]``. universalmutator changes one line, and
 the fast tests of the room run in a copy of the tree. Verdicts are kept in
 ``.ci/cache`` until the file or the tests change, so a run goes on where the
-last one ended. ``mutants.toml`` names survivors that no test can find, each
-with the reason; they do not count.
+last one ended. ``mutants.toml`` names survivors with the reason of each: those
+that no test can find do not count, of the others it says why none does.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def run(*, full: bool) -> Outcome:
 
 def examined(rooms: Sequence[str], count: int) -> Outcome:
     """Judge *count* mutants of each of *rooms*."""
-    accepted = reasons()
+    accepted, unfound = reasons("equivalent"), reasons("survivor")
     known = {}
     STORE.parent.mkdir(parents=True, exist_ok=True)
     (STORE.parent / ".gitignore").write_text("*\n", "utf-8")
@@ -181,7 +181,7 @@ def examined(rooms: Sequence[str], count: int) -> Outcome:
             survivors = [m for m, v in found.items() if v.result != "killed"]
             left = [m for m in survivors if edit(m) not in accepted]
             for mutant in found.keys() - set(survivors):
-                if edit(mutant) in accepted:
+                if edit(mutant) in accepted | unfound:
                     msg = f"{ACCEPTED.name}: a test finds {edit(mutant)}"
                     raise ValueError(msg)
             score = killed / max(killed + len(left), 1)
@@ -189,11 +189,11 @@ def examined(rooms: Sequence[str], count: int) -> Outcome:
             equivalent = len(survivors) - len(left)
             numbers = (len(found), killed, equivalent, len(left))
             scores.append((name, *map(str, numbers), f"{score:.1%}"))
-            open_ones += [_row(mutant) for mutant in left]
+            open_ones += [(*_row(m), unfound.get(edit(m), "")) for m in left]
     header = ("room", "mutants", "killed", "equivalent", "survivors", "score")
     outcome.tables = [
         Table("Scores", header, tuple(scores)),
-        Table("Survivors", ("line", "is", "was"), tuple(open_ones)),
+        Table("Survivors", ("line", "is", "was", "why"), tuple(open_ones)),
     ]
     return outcome
 
@@ -211,14 +211,14 @@ def edit(mutant: Mutant) -> tuple[str, str, str]:
     return mutant.file, mutant.before.strip(), mutant.after.strip()
 
 
-def reasons() -> dict[tuple[str, str, str], str]:
-    """Return why survivors are equivalent.
+def reasons(kind: str) -> dict[tuple[str, str, str], str]:
+    """Return why survivors of *kind* are: ``equivalent`` or ``survivor``.
 
     Raises:
         ValueError: the line of one is no longer in its file.
     """
     found = {}
-    for entry in tomllib.loads(ACCEPTED.read_text("utf-8"))["equivalent"]:
+    for entry in tomllib.loads(ACCEPTED.read_text("utf-8")).get(kind, ()):
         text = (ROOT / PACKAGE / entry["file"]).read_text("utf-8")
         if entry["before"] not in map(str.strip, text.splitlines()):
             msg = f"{ACCEPTED.name}: {entry['file']} lacks {entry['before']}"

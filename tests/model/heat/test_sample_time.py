@@ -429,3 +429,31 @@ def test_sizes_that_do_not_fit(
             ints[layout.first(PlanNumbers, name)] = number
             with pytest.raises(ValueError, match=r"range|size"):
                 call(ints=ints)
+
+
+@pytest.mark.parametrize("corners", [1, 2, 4])
+def test_a_state_is_what_was_exported_of_it(corners: int) -> None:
+    """Of fewer corners there are fewer entries, and the others stay new."""
+    state = SampleState.new()
+    fresh = SampleState.new()
+    for i in range(len(state.times)):
+        state.times[i] = i
+    for i in range(len(state.numbers)):
+        state.numbers[i] = float(i)
+    times, numbers = state.exported(corners)
+
+    found = SampleState.imported(corners, times, numbers, [5])
+
+    whole = len(state.times), len(state.numbers)
+    assert ((len(times), len(numbers)) == whole) is (corners == 4)
+    assert times == sorted(set(times))
+    assert numbers == sorted(set(numbers))
+    for i, time_us in enumerate(found.times):
+        assert time_us == (i if i in times else fresh.times[i])
+    for i, number in enumerate(found.numbers):
+        assert number == (i if i in numbers else fresh.numbers[i])
+    assert found.flags[0] == 5
+    with pytest.raises(ValueError, match="argument"):
+        SampleState.imported(corners, times[:-1], numbers, [0])
+    with pytest.raises(ValueError, match="argument"):
+        SampleState.imported(corners, times, [*numbers, 0.0], [0])
