@@ -14,6 +14,7 @@ from bstm_daemon.analysis.gap.calibration import (
     Calibration,
     Step,
     _against,
+    _known_before,
 )
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.searching import search
@@ -21,7 +22,7 @@ from bstm_daemon.analysis.matching import matcher
 from bstm_daemon.analysis.matching.changes import learned
 from bstm_daemon.analysis.matching.coarse import Reading
 from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.refine import Accuracy
+from bstm_daemon.analysis.matching.refine import Accuracy, NodeAccuracy
 from bstm_daemon.analysis.matching.tunables import MASS, strength_key
 from bstm_daemon.analysis.matching.workflow import Matched
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -254,6 +255,26 @@ def test_a_search_knows_what_the_match_learned(
     assert of.setting(MASS) == 1.1
     assert recordings == ["recording of one", "recording of two"]
     assert read == [(log, [known], signal_map, {}) for log in logs]
+
+
+@pytest.mark.parametrize("verdict", [(), ("no stop",)])
+def test_a_search_of_its_own_drives_does_not_count_them_twice(
+    target: Target, verdict: tuple[str, ...]
+) -> None:
+    """The priors hold again, and what is left may be a part that lacks."""
+    form = {"disc": NodeAccuracy(7.0, 0.02)}
+    match = replace(match_of(target, {MASS: 1.1}, verdict=verdict), form=form)
+    after = learned(match)
+    assert after.form_k == {"disc": 7.0}
+
+    before = _known_before(match)
+
+    assert before.names == after.names == [MASS]
+    assert before.values == after.values
+    assert after.factor == [[pytest.approx(0.1)]]
+    assert before.factor == [[pytest.approx(match.after.tunable(MASS).prior)]]
+    assert before.form_k == ({} if verdict else {"disc": 7.0})
+    assert before.form_share == ({} if verdict else {"disc": 0.02})
 
 
 @pytest.mark.slow
