@@ -192,12 +192,12 @@ class CornerMarch:
         """March at most *steps* of a ceiling; return whether there was one."""
         if self._raising is None:
             return False
-        heat, boiling, job, expected_k = self._raising
+        heat, boiling, job, expected_rise_k = self._raising
         course = marched(job, steps, boiling)
         if course is not None:
             peaks_k, safe_in_s = found_by(course, boiling)
             rise_k = max(peaks_k) - heat.ambient_k
-            self._excess = max(1.0, rise_k / expected_k)
+            self._excess = max(1.0, rise_k / expected_rise_k)
             if boiling is self._boiling:
                 self._ceilings.keep(heat, peaks_k, safe_in_s)
             self._raising = None
