@@ -250,6 +250,7 @@ def shake(numbers: array[float], draw: random.Random) -> None:
     pressed = [draw.uniform(0.3, 4.0) for _ in range(draw.choice([15, 60]))]
     moved = [at_0 + slope * x + draw.gauss(0.0, 0.3) for x in pressed]
     turn, lateral = (draw.choice([0.5, 5.0, 50.0]) for _ in range(2))
+    motion = draw.choice([20.0, 80.0])
     sums = {
         "observer.balance_count": float(len(pressed)),
         "observer.balance_x": sum(pressed),
@@ -261,6 +262,10 @@ def shake(numbers: array[float], draw: random.Random) -> None:
         "checks.turn_square": turn * turn,
         "checks.lateral_square": lateral * lateral,
         "checks.turn_lateral": draw.choice([0.3, 0.9, 1.0]) * turn * lateral,
+        "checks.motion": motion,
+        "checks.agreement": draw.choice([-1.0, -0.3, 0.3, 1.0]) * motion,
+        "observer.unpressed_s": draw.choice([0.0, 5.9, 8.0]),
+        "samples.pedal_lost": draw.choice([0.0, 19.0, 30.0]),
     }
     for path, value in sums.items():
         numbers[layout.first(SampleMemory, path)] = value
