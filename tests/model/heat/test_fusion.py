@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from math import isnan
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from bstm_daemon.model.heat.fusion import _torque_std
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -295,3 +298,18 @@ def test_channels_of_other_modes_are_not_known(
     for name in ("mass_kg", "grade", "friction_scale"):
         assert all(map(isnan, run.of_car(name)))
     assert all(map(isnan, run.column("brake_power_std_w")))
+
+
+@pytest.mark.parametrize(
+    ("known", "drive_ms2", "std_ms2"),
+    [(False, 2.0, 0.2), (True, 2.0, 0.09), (True, -2.0, 0.45)],
+)
+def test_a_driving_torque_is_known_by_where_it_comes_from(
+    known: bool,  # noqa: FBT001
+    drive_ms2: float,
+    std_ms2: float,
+) -> None:
+    """Assumed, driving 3 %, retarding 15 %; the car has 2/3 of its mass."""
+    step: Any = SimpleNamespace(torque_known=known, drive=drive_ms2)
+
+    assert abs(_torque_std(step, 1.5)) == pytest.approx(std_ms2)
