@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap import fitting
-from bstm_daemon.analysis.gap.changes import HEAT_SCALE
+from bstm_daemon.analysis.gap.changes import HEAT_SCALE, LARGEST, largest
 from bstm_daemon.analysis.gap.fitting import (
     FORM_ERROR,
     NINETY,
     Fit,
+    _strength_bounds,
     directions,
     fit,
     prior_along,
@@ -22,6 +23,7 @@ from bstm_daemon.analysis.gap.fitting import (
 from bstm_daemon.analysis.gap.signatures import sensed
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.tunables import S_SPEEDS_MS
+from bstm_daemon.model.effects.catalogue import effect_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -131,3 +133,20 @@ def test_heat_and_cooling_are_moved_as_wholes(
     made: Any = SimpleNamespace(keys=keys)
 
     assert scale_basis(made).T.tolist() == columns
+
+
+def test_a_strength_stays_on_the_side_of_0_where_it_began() -> None:
+    """Within its own bounds, not those of another parameter."""
+    names = ["friction_history", "change.disc_air", "change.disc_air"]
+    names += ["accelerometer_bias"]
+    least = effect_class("accelerometer_bias").parameters()[0].lower
+    assert least < -1.0
+
+    lower, upper = _strength_bounds(names, np.array([1.0, 0.5, -0.5, -1.0]))
+
+    assert lower.tolist() == pytest.approx(
+        [0.0, 0.0, -LARGEST, least], abs=0.02
+    )
+    assert upper.tolist() == pytest.approx(
+        [largest("friction_history"), LARGEST, 0.0, 0.0], abs=0.02
+    )
