@@ -44,6 +44,38 @@ def source_heats(net: Network, pad_front_k: float) -> dict[str, float]:
     return heats
 
 
+@pytest.mark.parametrize(
+    ("structure", "configured", "capacity_j_k"),
+    [
+        # two plates of 6 mm of steel, on 1.15 times the lining
+        ("extended", 0.0, 2.0 * 6.5e-3 * 1.15 * 6e-3 * 7850.0 * 480.0),
+        ("extended", 500.0, 500.0),
+        ("thesis", 0.0, 0.0),
+    ],
+)
+def test_a_backplate_has_the_heat_of_its_steel(
+    make_spec: MakeSpec,
+    structure: str,
+    configured: float,
+    capacity_j_k: float,
+) -> None:
+    spec = make_spec(
+        {"pad": PAD},
+        thermal={
+            "structure": structure,
+            "backplate_thermal_capacity_j_k": configured,
+        },
+    )
+
+    (plate,) = (
+        node
+        for node in build_corner(spec, INPUTS).nodes
+        if node.name == "backplate"
+    )
+
+    assert plate.capacity_j_k == pytest.approx(capacity_j_k, rel=0.01)
+
+
 @given(
     pad_k=st.floats(250.0, 1200.0),
     air=st.floats(0.0, 1.0),

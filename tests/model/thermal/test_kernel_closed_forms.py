@@ -325,6 +325,9 @@ def test_drivers(
         (550.0, -150.0 - 250.0 - 150.0 - 50.0, 250.0),
         (250.0, 50.0 + 150.0 + 250.0 + 150.0, 550.0),
         (450.0, 137.5 + 30.0, 510.0),
+        # from a point of the table, to either side
+        (400.0, -150.0 - 50.0, 250.0),
+        (400.0, 250.0 + 30.0, 510.0),
     ],
 )
 def test_heat_walks_the_cells_of_a_capacity(
