@@ -165,16 +165,24 @@ def _tiles(summary: DriveSummary) -> list[tuple[str, str]]:
         if known:
             corner = max(known, key=lambda c: c.peaks[node].temperature_c)
             peak = corner.peaks[node]
-            text = f"{heading}, {corner.corner} {_when(peak, with_hours)}"
+            # a disc is hottest while it brakes, long after another stop
+            when = _when(peak, with_hours, after_stop=node != "disc")
+            text = f"{heading}, {corner.corner} {when}"
             tiles.append((f"{peak.temperature_c:.0f} °C", text))
     return tiles
 
 
-def _when(peak: Peak, with_hours: bool) -> str:  # noqa: FBT001
-    """Return when a peak was, counted from the stop before it if any."""
+def _when(
+    peak: Peak,
+    with_hours: bool,  # noqa: FBT001
+    *,
+    after_stop: bool = True,
+) -> str:
+    """Return when a peak was, with *after_stop* counted from a stop before."""
     text = f"at {clock(peak.time_s, with_hours=with_hours)}"
-    if peak.after_stop_s is not None and peak.after_stop_s > 0.0:
-        text = f"{clock(peak.after_stop_s)} after the stop"
+    since_s = peak.after_stop_s if after_stop else None
+    if since_s is not None and since_s > 0.0:
+        text = f"{clock(since_s)} after the stop"
     if peak.at_end:
         text += ", still rising"
     if peak.validity:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -75,6 +76,20 @@ def test_page_shows_facts_and_figures(page: str) -> None:
     ):
         assert shown in text
     assert "0 checksum" not in text
+
+
+def test_a_disc_is_hottest_while_it_brakes_whenever_the_car_stopped(
+    descent: Results,
+) -> None:
+    """What follows a stop is the fluid, also after one on the way."""
+    columns = {name: one.copy() for name, one in descent.columns.items()}
+    columns["speed_ms"][600:1200] = 0.0
+    columns["FL.disc_c"][5000] = 700.0
+
+    text = _text(_page(replace(descent, columns=columns), FACTS))
+
+    assert "700 °C hottest disc, FL at 0:08:20" in text
+    assert "hottest fluid, FL 10:29 after the stop" in text
 
 
 def test_page_stays_small(page: str) -> None:
