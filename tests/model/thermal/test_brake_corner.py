@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bstm_daemon.config.sections import Config, CornerConfig
+from bstm_daemon.config.sections import Config, CornerConfig, DiscConfig
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.thermal.brake_corner import (
     CornerSpec,
     build_corner,
+    cooling_beyond,
     corner_spec,
 )
 from bstm_daemon.model.thermal.network import Network
@@ -19,6 +20,8 @@ from bstm_daemon.model.thermal.properties import (
     GREY_IRON_HEAT_CAPACITY_J_KGK,
     GREY_IRON_SMOOTH_HEAT_CAPACITY_J_KGK,
     PURE_IRON_HEAT_CAPACITY_J_KGK,
+    REFERENCE_K,
+    disc_heat_capacity,
 )
 
 INPUTS = ("speed_ms", "brake_on", "ambient_k", "brake_power_w")
@@ -42,6 +45,48 @@ def source_heats(net: Network, pad_front_k: float) -> dict[str, float]:
                 assert factor.a == "pad_front"
                 heats[source.name] *= factor.table(pad_front_k)
     return heats
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "speed_ms", "expected"),
+    [
+        # 4 to 9 is to the power 0.585 of 10 to 40
+        ((0.0, 10.0, 40.0), (1.0, 4.0, 9.0), 80.0, 9.0 * 2.0**0.58496),
+        # never steeper than proportional to the speed
+        ((0.0, 10.0, 20.0), (1.0, 1.0, 9.0), 40.0, 18.0),
+        # one that falls, or from 0, is held
+        ((0.0, 10.0, 20.0), (1.0, 5.0, 4.0), 40.0, 4.0),
+        ((0.0, 10.0, 20.0), (0.0, 0.0, 4.0), 40.0, 4.0),
+        # of a straight line from rest the slope at its end goes on
+        ((0.0, 20.0), (1.0, 4.0), 40.0, 4.0 * 2.0**0.75),
+        ((0.0, 20.0), (4.0, 4.0), 40.0, 4.0),
+    ],
+)
+def test_cooling_goes_on_as_a_power_of_the_speed(
+    x: tuple[float, ...],
+    y: tuple[float, ...],
+    speed_ms: float,
+    expected: float,
+) -> None:
+    assert cooling_beyond(x, y, speed_ms) == pytest.approx(expected, rel=1e-4)
+    assert cooling_beyond(x, y, x[-1]) == pytest.approx(y[-1])
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 2.0])
+def test_a_heat_capacity_bends_about_its_value_at_the_reference(
+    exponent: float,
+) -> None:
+    plain = DiscConfig(mass_kg=7.0, swept_area_m2=0.06, total_area_m2=0.2)
+    disc = plain.model_copy(update={"heat_capacity_exponent": exponent})
+    straight = disc_heat_capacity(plain)
+
+    found = disc_heat_capacity(disc)
+
+    first = straight(REFERENCE_K)
+    assert found(REFERENCE_K) == pytest.approx(first, rel=1e-3)
+    for kelvin in (straight.x0, straight.x0 + 20.0 * straight.dx):
+        ratio = straight(kelvin) / first
+        assert found(kelvin) == pytest.approx(first * ratio**exponent)
 
 
 @pytest.mark.parametrize(
