@@ -85,10 +85,11 @@ def test_roles_that_are_not_mapped_are_flagged(run: Run) -> None:
         assert all(run.flag(name))
 
 
-def test_late_sample_counts_from_now(run: Run) -> None:
+@pytest.mark.parametrize("at_us", [200_000, 999_999])
+def test_late_sample_counts_from_now(run: Run, at_us: int) -> None:
     """Up to 1 s behind: no step is redone, the value is used at once."""
     before = run.column("speed_ms")
-    run.feed([(200_000, "vehicle_speed", 30.0), (1_050_000, -1, 0.0)])
+    run.feed([(at_us, "vehicle_speed", 30.0), (1_050_000, -1, 0.0)])
     assert run.count("late") == 1
     assert run.column("speed_ms")[: len(before)] == before
     assert run.column("speed_ms")[-1] == pytest.approx(30.0)

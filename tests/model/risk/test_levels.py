@@ -105,6 +105,13 @@ def test_the_part_that_is_still_hot_holds_the_level() -> None:
     assert level is RiskLevel.ELEVATED
 
 
+def test_without_a_part_the_level_is_normal() -> None:
+    memory = LevelMemory()
+
+    for time_us in (0, HOLD_US, 2 * HOLD_US):
+        assert memory.by_temperatures([], [], time_us) is RiskLevel.NORMAL
+
+
 def test_what_is_not_known_lowers_no_level() -> None:
     """Nor a part without a temperature beside one that is cold."""
     memory, parts = LevelMemory(RiskLevel.HIGH), LevelMemory(RiskLevel.HIGH)

@@ -226,6 +226,7 @@ def test_both_forms_have_the_same_mean_to_the_last_bit(
     compiled = Boiling(points_k)
     reference = Boiling(points_k)
     reference._compiled = None
+    temperatures_k += [max(points_k) + k for k in (-0.5, 0.5, 1.5, 2.5)]
 
     for series in (temperatures_k, tuple(temperatures_k)):
         found = compiled.mean_probability(series)
