@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bstm_daemon.model.thermal.table import RESAMPLED_POINTS, Table
+from bstm_daemon.model.thermal.table import (
+    GRID_LIMIT,
+    RESAMPLED_POINTS,
+    Table,
+)
 
 NUMBERS = st.floats(-1e6, 1e6)
 
@@ -66,6 +70,15 @@ def test_points_that_fit_no_grid_are_resampled_closely() -> None:
     assert table(0.5) == pytest.approx(0.5 / (1.0 - x[1]), abs=1e-9)
 
 
+def test_points_closer_than_the_grid_are_passed() -> None:
+    table = Table.from_points(
+        [0.0, 1e-4, 3e-4, 7e-4, 1.0], [0.0, 9.0, 9.0, 0.0, 1.0]
+    )
+
+    expected = (table.dx - 7e-4) / (1.0 - 7e-4)
+    assert table(table.dx) == pytest.approx(expected)
+
+
 @given(tables(), st.floats(1e-3, 1e9))
 def test_outside_the_end_value_is_kept(table: Table, beyond: float) -> None:
     """Clamping on both sides, at any distance, infinity included."""
@@ -108,6 +121,15 @@ def test_product_at_the_points_of_a_common_grid(
         at = 3.0 + i * dx
         expected = one(at) * two(at)
         assert product(at) == pytest.approx(expected, abs=1e-9 * scale)
+
+
+def test_a_product_has_no_more_points_than_the_limit() -> None:
+    fine = Table(0.0, 1e-3, (1.0, 1.0, 1.0))
+
+    product = fine.times(Table(0.0, 10.0, (1.0, 2.0)))
+
+    assert len(product.values) == GRID_LIMIT
+    assert product(10.0) == 2.0
 
 
 def test_product_covers_both_ranges() -> None:
