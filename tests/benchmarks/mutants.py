@@ -299,6 +299,9 @@ def judge(
     path.write_text(text, "utf-8")
     code, output = 0, ""
     try:
+        if path.suffix == ".c" and not tree.compiles(path):
+            built = False
+            return "none", "the build"
         if built and tree.build() == tree.instructions and compiled:
             return "none", "the same instructions"
         for tests, seconds in runs:
