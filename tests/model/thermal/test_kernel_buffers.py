@@ -149,13 +149,17 @@ def test_each_index_is_of_what_there_is(compiled: Kernel, name: str) -> None:
 
 
 @pytest.mark.parametrize("index", range(1, len(COUNTS)))
-def test_a_count_whose_sums_would_overflow(
-    compiled: Kernel, index: int
+@pytest.mark.parametrize(
+    ("number", "text"), [(2**31 - 1, "is too large"), (-1, "is negative")]
+)
+def test_a_count_that_cannot_be(
+    compiled: Kernel, index: int, number: int, text: str
 ) -> None:
+    """Sums of those that are refused as too large would overflow."""
     call = arguments()
-    call[0][index] = 2**31 - 1
+    call[0][index] = number
 
-    with pytest.raises(ValueError, match="a count is too large"):
+    with pytest.raises(ValueError, match=f"a count {text}"):
         compiled.march(*call)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable
 from itertools import pairwise
-from math import cos, log, sin, sqrt
+from math import cos, log, nan, sin, sqrt
 from typing import TYPE_CHECKING
 
 import pytest
@@ -232,6 +232,33 @@ def test_lanes_equal_single_members(
         width = together.ledger_width
         ledger = together.ledger[i * width : (i + 1) * width]
         assert ledger == alone.ledger
+
+
+def test_a_node_is_forced_in_one_lane_and_free_in_another(
+    compiled: Kernel, make_spec: MakeSpec
+) -> None:
+    """Temperatures and energies of each are those of pure Python alone."""
+    network = build_corner(rough_spec(make_spec), INPUTS)
+    program = compile_network(network.with_forced("disc"))
+    steps, rows, own = 40, array("d"), (array("d"), array("d"))
+    for i in range(steps):
+        for lane, target in enumerate((300.0 + 5.0 * i, nan)):
+            row = 20.0, 1.0, 283.15, 5000.0, 1e6, 0.0, target
+            rows.extend(row)
+            own[lane].extend(row)
+
+    together = Batch([program] * 2, 300.0, [0, 1], compiled, sets=2)
+    together.march(rows, steps, 0.25)
+
+    for lane, inputs in enumerate(own):
+        alone = Batch([program], 300.0, kernel=None)
+        alone.march(inputs, steps, 0.25)
+        for whole, part in (
+            (together.state, alone.state),
+            (together.ledger, alone.ledger),
+        ):
+            found = whole[lane * len(part) : (lane + 1) * len(part)]
+            assert list(found) == pytest.approx(list(part), rel=1e-9)
 
 
 def test_members_read_their_own_inputs(
