@@ -21,6 +21,7 @@ from bstm_daemon.bus.signals.extraction import (
     RawSignal,
 )
 from bstm_daemon.bus.signals.frame_chunk import (
+    PREFIX_MASKS,
     FrameChunk,
     columns_for,
     join_in_file_order,
@@ -443,6 +444,34 @@ def test_an_unknown_message_of_the_plan_gives_no_sample() -> None:
         counts = np.zeros(3, np.int64)
         assert extracted(compiled, frame_counts=counts, **changes) == (1, 0)
         assert counts.tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_counts_are_of_one_chunk(
+    signal_map: SignalMap, monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    monkeypatch.setenv(VARIABLE, form)
+    decoder = ChunkDecoder(signal_map)
+    chunk = one_frame(0, (0, 999, False, bytes(8)))
+
+    counts = [decoder.decode(chunk, BUS_OF_CHANNEL).counts for _ in range(2)]
+
+    assert counts == [{RejectReason.UNKNOWN_ID: 1}] * 2
+
+
+@pytest.mark.parametrize("size", [8, 64])
+def test_a_mask_keeps_the_first_bytes_of_a_payload(size: int) -> None:
+    payload = np.arange(1, size + 1, dtype=np.uint8)
+
+    kept = PREFIX_MASKS[size] & payload.view("<u8")
+
+    for count, row in enumerate(kept.view(np.uint8)):
+        assert row.tolist() == [*payload[:count], *[0] * (size - count)]
+
+
+def test_a_reason_is_told_by_its_name() -> None:
+    for reason in RejectReason:
+        assert reason.value == reason.name.lower()
 
 
 def test_parts_join_in_the_order_of_their_lines() -> None:

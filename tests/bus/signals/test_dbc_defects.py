@@ -111,6 +111,20 @@ CASES = {
         {"BRAKE": ["pressure"]},
         ["'pressed' begins at bit 32760, beyond 4095 bytes: dropped"],
     ),
+    "signal beyond its own message": (
+        WHOLE.replace("16|1@", "32759|1@"),
+        {"BRAKE": ["pressure", "pressed"]},
+        ["signals do not fit in its 8 bytes: pressed"],
+    ),
+    "more overlaps than are listed": (
+        HEAD
+        + "BO_ 100 BRAKE: 8 X\n"
+        + "".join(
+            f' SG_ {name} : 0|8@1+ (1,0) [0|1] "" X\n' for name in "abcde"
+        ),
+        {"BRAKE": [*"abcde"]},
+        ["b and c; b and d and 4 more"],
+    ),
     "message of too many bytes": (
         WHOLE + 'BO_ 101 BIG: 4096 X\n SG_ b : 0|8@1+ (1,0) [0|0] "" X\n',
         {"BRAKE": ["pressure", "pressed"]},
@@ -224,6 +238,15 @@ CASES = {
         ["line 6: message 'MUX': signal 'code' has the mark 'm'"],
     ),
 }
+
+
+@pytest.mark.parametrize("keyword", ["CM_", "EV_", "SGTYPE_"])
+def test_a_missing_quote_takes_no_statement_after_it(keyword: str) -> None:
+    text = f'{keyword} "open\n{GOOD}'
+
+    found = statements_of(text)
+
+    assert [one.keyword for one in found] == [keyword, "BO_", "SG_", "SG_"]
 
 
 @pytest.mark.parametrize("name", CASES)
