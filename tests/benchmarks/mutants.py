@@ -41,7 +41,7 @@ from side_by_side import Goal, Outcome, Table
 from universalmutator.mutator import mutants_regexp
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 STORE: Final = ROOT / ".ci" / "cache" / "mutants.jsonl"
 ACCEPTED: Final = Path(__file__).with_suffix(".toml")
@@ -119,12 +119,16 @@ ROOMS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One line of *file*, below the package, changed; lines count from 1."""
+    """One line of *file*, below the package, changed; lines count from 1.
+
+    It is the *nth* of its text in the file.
+    """
 
     file: str
     line: int
     before: str
     after: str
+    nth: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,9 +186,9 @@ def examined(rooms: Sequence[str], count: int) -> Outcome:
             found = judged(tree, ROOMS[name], count, known)
             killed = sum(v.result == "killed" for v in found.values())
             survivors = [m for m, v in found.items() if v.result != "killed"]
-            left = [m for m in survivors if edit(m) not in accepted]
+            left = [m for m in survivors if not said(m, accepted)]
             for mutant in found.keys() - set(survivors):
-                if edit(mutant) in accepted | unfound:
+                if said(mutant, accepted | unfound):
                     msg = f"{ACCEPTED.name}: a test finds {edit(mutant)}"
                     raise ValueError(msg)
             score = killed / max(killed + len(left), 1)
@@ -192,7 +196,7 @@ def examined(rooms: Sequence[str], count: int) -> Outcome:
             equivalent = len(survivors) - len(left)
             numbers = (len(found), killed, equivalent, len(left))
             scores.append((name, *map(str, numbers), f"{score:.1%}"))
-            open_ones += [(*_row(m), unfound.get(edit(m), "")) for m in left]
+            open_ones += [(*_row(m), said(m, unfound)) for m in left]
     header = ("room", "mutants", "killed", "equivalent", "survivors", "score")
     outcome.tables = [
         Table("Scores", header, tuple(scores)),
@@ -214,7 +218,17 @@ def edit(mutant: Mutant) -> tuple[str, str, str]:
     return mutant.file, mutant.before.strip(), mutant.after.strip()
 
 
-def reasons(kind: str) -> dict[tuple[str, str, str], str]:
+def said(mutant: Mutant, of: Mapping[tuple[str | int, ...], str]) -> str:
+    """Return the reason of *mutant*, nothing where :func:`reasons` has none.
+
+    One that is of no certain line is of each that reads so.
+    """
+    nths = (mutant.nth, 0)
+    found = (of[*edit(mutant), n] for n in nths if (*edit(mutant), n) in of)
+    return next(found, "")
+
+
+def reasons(kind: str) -> dict[tuple[str | int, ...], str]:
     """Return why survivors of *kind* are: ``equivalent`` or ``survivor``.
 
     Raises:
@@ -227,7 +241,7 @@ def reasons(kind: str) -> dict[tuple[str, str, str], str]:
             msg = f"{ACCEPTED.name}: {entry['file']} lacks {entry['before']}"
             raise ValueError(msg)
         place = entry["file"], entry["before"], entry["after"]
-        found[place] = entry["reason"]
+        found[*place, entry.get("nth", 0)] = entry["reason"]
     return found
 
 
@@ -356,11 +370,16 @@ def mutants(room: Room) -> Iterator[Mutant]:
             seen: Counter[str] = Counter()
             at = defaultdict(list)
             for line, after, *_ in made:
-                at[line].append(Mutant(file, line, lines[line - 1], after))
-            for line, ours in at.items():
-                ours.sort(key=lambda mutant: _rank(*edit(mutant)))
-                text = lines[line - 1].strip()
+                at[line].append(after)
+            for line, afters in at.items():
+                before = lines[line - 1]
+                text = before.strip()
                 seen[text] += 1
+                ours = [
+                    Mutant(file, line, before, after, seen[text])
+                    for after in afters
+                ]
+                ours.sort(key=lambda mutant: _rank(*edit(mutant)))
                 place = _rank(file, text, str(seen[text]))
                 places.append((place, line, ours))
     turns = zip_longest(*(ours for *_, ours in sorted(places)))

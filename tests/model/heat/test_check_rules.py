@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from math import inf, nextafter
+from math import inf, nextafter, sqrt
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from bstm_daemon.model.heat.check_rules import Limits, limits_of
+from bstm_daemon.model.heat.motion_checks import wrong_scale
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -95,3 +97,30 @@ def test_a_value_is_believed_as_long_as_it_can_have_got_there(
 def test_a_role_that_nobody_knows_limits_of_has_none() -> None:
     assert limits_of("brake_switch") == Limits(-inf, inf, inf, 0.0)
     assert limits_of("external_force").step == inf
+
+
+@pytest.mark.parametrize(
+    ("speed", "acceleration", "correlation", "wrong"),
+    [
+        # (m/s2)^2 s of each, and their correlation
+        (10.0, 20.0, 1.0, False),
+        (10.0, 23.0, 1.0, True),
+        (23.0, 10.0, 1.0, True),
+        (10.0, 40.0, 0.78, True),
+        (10.0, 40.0, 0.77, False),
+        # below 1.6 the product itself must be 0.3 beyond the limit
+        (0.5, 2.0, 1.0, False),
+        (0.8, 3.1, 1.0, True),
+    ],
+)
+def test_a_wrong_scale_is_beyond_noise_and_slopes(
+    speed: float, acceleration: float, correlation: float, *, wrong: bool
+) -> None:
+    """More than 1.45 times, with a squared correlation above 0.6."""
+    memory: Any = SimpleNamespace(
+        rate_square=speed,
+        accel_square=acceleration,
+        accel_rate=correlation * sqrt(speed * acceleration),
+    )
+
+    assert wrong_scale(memory) is wrong
