@@ -1,5 +1,6 @@
 """The boiling point as a distribution."""
 
+import sys
 from array import array
 from itertools import pairwise
 from math import isnan
@@ -275,3 +276,14 @@ def test_points_far_apart_and_close_together() -> None:
     assert found.probability(400.5) == pytest.approx(0.375)
     assert found.probability(449.0) == 0.75
     assert found.probability(449.5) == pytest.approx(0.875)
+
+
+@needs_kernel
+def test_the_compiled_mean_keeps_no_temperature() -> None:
+    assert KERNEL is not None
+    kelvin = 431.5
+    held = sys.getrefcount(kelvin)
+
+    KERNEL.mean_probability(array("d", [0.0, 1.0]), 300.0, [kelvin] * 9)
+
+    assert sys.getrefcount(kelvin) == held
