@@ -70,6 +70,9 @@ def test_a_resumed_change_is_that_of_the_bus() -> None:
     same = FluidKnowledge(FluidConfig(changed=date(2020, 1, 1)))
     same.resume(document)
     assert same.export()["changed"] == "2026-05-28"
+    # the flag is still up: no other change
+    same.ingest(TODAY_US + YEAR_US, CHANGED_ROLE, 1.0)
+    assert same.export()["changed"] == "2026-05-28"
 
     newer = FluidKnowledge(FluidConfig(changed=date(2027, 1, 1)))
     newer.resume(document)

@@ -211,6 +211,21 @@ def test_the_peak_is_that_of_a_parabola_through_three_points() -> None:
     assert found == pytest.approx((400.0, 70.0))
 
 
+@pytest.mark.parametrize(
+    ("celsius", "over"),
+    [
+        ((90.0, 100.0, 110.0, 108.0), True),
+        ((90.0, 80.0, 85.0, 95.0), False),
+        # it falls, and may still boil
+        ((160.0, 170.0, 180.0, 179.0), False),
+    ],
+)
+def test_a_course_is_over_where_it_cools_and_is_safe(
+    celsius: tuple[float, ...], *, over: bool
+) -> None:
+    assert course(*celsius).is_over(sharp(150.0), 0.01) is over
+
+
 def test_the_median_of_an_even_and_an_odd_number() -> None:
     assert median([3.0, 1.0, 2.0]) == 2.0
     assert median([4.0, 1.0, 3.0, 2.0]) == 2.5

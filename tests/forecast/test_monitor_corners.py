@@ -199,6 +199,30 @@ def test_corners_that_are_the_same_are_marched_once(
     assert len(begun) == ensembles
 
 
+def test_corners_of_other_parts_are_each_foreseen() -> None:
+    """They are marched apart, as their networks have other nodes."""
+    watched = Watched("FL", "FR")
+    left, right = watched.config.corner
+    assert right.pad is not None
+    pad = right.pad.model_copy(update={"slabs": right.pad.slabs + 2})
+    other = right.model_copy(update={"pad": pad})
+    watched.config = watched.config.model_copy(
+        update={"corner": [left, other]}
+    )
+    watched.estimator = Estimator(watched.config, MAPPED, history_known=True)
+    watched.monitor = RiskMonitor(watched.config, watched.estimator)
+    block = watched.at_rest(3)
+    watched.put(block, "FL", fluid=400.0, **HOT_PADS_K)
+    watched.put(block, "FR", fluid=330.0)
+
+    found = watched.monitor.add(block)[-1].corners
+
+    assert found["FL"].level is RiskLevel.CRITICAL
+    assert found["FL"].peak_k > 430.0
+    assert found["FR"].level is RiskLevel.NORMAL
+    assert found["FR"].peak_k == pytest.approx(330.0, abs=1.0)
+
+
 def test_vapour_ahead_counts_though_the_fluid_is_cold_now() -> None:
     """A hot backplate behind a cold fluid."""
     watched = Watched("FL", "FR")
