@@ -136,14 +136,38 @@ LIMITS: dict[str, tuple[int | str, int | str]] = {
 """Least index of each section, and the count that is one too many."""
 
 
-@pytest.mark.parametrize("name", LIMITS)
-def test_each_index_is_of_what_there_is(compiled: Kernel, name: str) -> None:
+def begins_of_sections() -> tuple[dict[str, int], dict[str, int]]:
+    """Return the counts of the program, and where each section begins."""
     counts = dict(zip(COUNTS, PROGRAM.ints, strict=False))
-    counts["slots"] = sum(counts[of] for of in ("nodes", "memories", "inputs"))
     begins, at = {}, len(COUNTS)
     for section in SECTIONS:
         begins[section] = at + 1
         at += 1 + PROGRAM.ints[at]
+    return counts, begins
+
+
+@pytest.mark.parametrize(
+    ("section", "number"),
+    [("table_points", 1), ("table_offset", -1), ("table_offset", None)],
+)
+def test_each_table_lies_within_the_floats(
+    compiled: Kernel, section: str, number: int | None
+) -> None:
+    """It has two points at least, and so many numbers from its offset on."""
+    counts, begins = begins_of_sections()
+    for table in range(counts["tables"]):
+        points = PROGRAM.ints[begins["table_points"] + table]
+        call = arguments()
+        last = counts["floats"] - points - 1
+        call[0][begins[section] + table] = last if number is None else number
+        with pytest.raises(ValueError, match="a table is out of range"):
+            compiled.march(*call)
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_each_index_is_of_what_there_is(compiled: Kernel, name: str) -> None:
+    counts, begins = begins_of_sections()
+    counts["slots"] = sum(counts[of] for of in ("nodes", "memories", "inputs"))
     first = begins[name]
     size = PROGRAM.ints[first - 1]
     assert size > 0
