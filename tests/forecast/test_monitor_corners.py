@@ -557,6 +557,27 @@ def test_a_state_without_a_corner_or_time_says_nothing_of_it() -> None:
         assert isnan(watched.monitor.course.away)
 
 
+@pytest.mark.parametrize("air_c", [-20.0, 45.0])
+def test_a_car_away_cooled_in_the_air_of_its_configuration(
+    air_c: float,
+) -> None:
+    """Where its state tells of none."""
+    found = []
+    for told in (True, False):
+        watched = Watched("FL")
+        vehicle = watched.config.vehicle.model_copy(
+            update={"ambient_c": air_c}
+        )
+        config = watched.config.model_copy(update={"vehicle": vehicle})
+        monitor = RiskMonitor(config, watched.estimator)
+        saved = watched.saved({"FL": watched.state(fluid=420.0, **HOT_PADS_K)})
+        saved["ambient_k"] = air_c + KELVIN_OFFSET if told else None
+        monitor.resume(saved, 600_000_000, START_US)
+        found.append(monitor.course.away)
+
+    assert found[0] == found[1] > 0.0
+
+
 def test_a_duty_that_goes_on_is_foreseen_from_the_braking_so_far() -> None:
     """12 m/s at 8 bar: by its own mean power, and hotter than parked."""
     watched = Watched("FL")
