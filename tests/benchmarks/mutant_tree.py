@@ -78,7 +78,8 @@ class Clean:
     def tests(self, path: Path, line: int) -> list[str]:
         """Return the tests that execute *line*, those of quick files first.
 
-        All, where it is executed on import, by no test, or is not Python.
+        Of a file, where one of its fixtures does; all, where it is executed
+        on import, by no test, or is not Python.
         """
         found = set()
         if path.suffix == ".py":
@@ -86,7 +87,15 @@ class Clean:
             contexts = self._executed.contexts_by_lineno(str(path))
             for number in range(begin, end + 1):
                 found.update(contexts.get(number, ()))
-        known = {context.rpartition("|")[0] for context in found}
+        ran = [context.rpartition("|") for context in found]
+        known = {test for test, _, _ in ran}
+        # a fixture is set up once, and all tests of its file may need it
+        shared = {
+            test.partition("::")[0] for test, _, when in ran if when == "setup"
+        }
+        known |= {
+            test for test in self._seconds if test.partition("::")[0] in shared
+        }
         chosen = known if known and "" not in known else set(self._seconds)
         files: Counter[str] = Counter()
         for test in chosen:

@@ -32,6 +32,7 @@ from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.files import shipped_file
+from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.model.thermal.program import same_structure
 
 if TYPE_CHECKING:
@@ -183,3 +184,15 @@ def test_another_form_of_cooling_is_one_of_the_same_corners(
         for corner in changed.config.disc_corners()
     ]
     assert forms == ["conductance", "rate", "rate", "rate"]
+
+
+def test_no_strength_is_tried_that_its_effect_refuses() -> None:
+    tried = {
+        name: TUNABLES[strength_key(name)].upper
+        for name in effect_names()
+        if strength_key(name) in TUNABLES
+    }
+
+    assert tried["cooling_band"] == 2.5
+    for name, strength in tried.items():
+        effect_class(name)({"strength": strength})
