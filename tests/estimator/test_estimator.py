@@ -369,3 +369,16 @@ def test_what_can_not_be_built(
     monkeypatch.setenv(VARIABLE, "warp")
     with pytest.raises(UsageError, match="warp"):
         Estimator(make_car(), PRESENT)
+
+
+def test_a_car_that_stood_forgets_all_that_was_found(make_car: Any) -> None:
+    """What spoke against its heat, and what nothing proved."""
+    estimator = Estimator(make_car(), {})
+    for trust in (estimator.trust, estimator.unproven):
+        trust.count(20.0)
+        assert any(trust.export()["_held_s"].values())
+
+    estimator.park_doubts(1e6)
+
+    for trust in (estimator.trust, estimator.unproven):
+        assert not any(trust.export()["_held_s"].values())
