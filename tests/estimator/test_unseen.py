@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from array import array
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -490,6 +491,22 @@ def lead(drive: Drive, parts: list[tuple[str, int]]) -> None:
         else:
             drive.restart(seconds)
     drive.descend(1.0)
+
+
+def test_the_history_has_all_that_had_a_speed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of one block, before and after its speed was missing; by minutes."""
+    added: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        Unseen, "_add", lambda _self, _block, *ends: added.append(ends)
+    )
+    missing = FLAGS["speed_missing"]
+    block: Any = SimpleNamespace(flags=[0, 0, missing, 0, 0, 0, missing, 0])
+
+    Unseen([0.5], 2000.0, 2).add(block)
+
+    assert added == [(0, 2), (3, 5), (5, 6), (7, 8)]
 
 
 @settings(max_examples=10)
