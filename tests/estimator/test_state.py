@@ -384,3 +384,18 @@ def test_no_document_does_worse_than_be_refused(
         restore_state(estimator, document, resume=True)
     for kelvin in nodes_k(estimator).values():
         assert LOWEST_K < kelvin < HIGHEST_K
+
+
+@pytest.mark.parametrize(("new", "known"), [("FL", "RL"), ("RL", "FL")])
+def test_a_new_corner_takes_nothing_from_the_others(
+    config: Config, new: str, known: str
+) -> None:
+    """Whichever comes first, the one that was saved is as it was."""
+    hot = hot_car(config)
+    document = export_state(hot)
+    del document["corners"][new]
+    fresh = Estimator(config, PRESENT)
+
+    assert [*restore_state(fresh, document, resume=True).new] == [new]
+
+    assert fresh.state(known)["disc"] == hot.state(known)["disc"] > 300.0
