@@ -504,7 +504,11 @@ def test_the_history_has_all_that_had_a_speed(
     missing = FLAGS["speed_missing"]
     block: Any = SimpleNamespace(flags=[0, 0, missing, 0, 0, 0, missing, 0])
 
-    Unseen([0.5], 2000.0, 2).add(block)
+    unseen = Unseen([0.5], 2000.0, 2)
+    unseen.add(block)
+    # a hole is no history
+    unseen._open = True
+    unseen.add(block)
 
     assert added == [(0, 2), (3, 5), (5, 6), (7, 8)]
 
