@@ -1,7 +1,7 @@
 """The C header of the tables that Python and C share.
 
 Constants, names and layouts are written in Python alone; the build
-(``setup.py``) writes them down for C. Only the standard library is needed.
+(``building.py``) writes them down for C. Only the standard library is needed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Header:
         """Return the whole header."""
         return "\n".join(
             (
-                "/* Written by setup.py out of the Python tables. */",
+                "/* Written by building.py out of the Python tables. */",
                 "#ifndef BSTM_GENERATED_H",
                 "#define BSTM_GENERATED_H",
                 "#include <math.h>",

@@ -1,6 +1,6 @@
 """Which sources each compiled module is built from, and their hash.
 
-``setup.py`` builds by this table and writes the hash into the module; the
+``building.py`` goes by this table and writes the hash into the module; the
 loader compares it with that of the sources beside it. It needs nothing but
 the standard library.
 """
