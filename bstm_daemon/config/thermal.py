@@ -55,6 +55,10 @@ class ThermalConfig(Section):
     """fluid and caliper as one lump (Table 4.1)"""
     fluid_dynamic_convection_ws_mk: NotNegative = 0.15
     """the same, times speed (Table 4.1)"""
+    fluid_dynamic_convection_exponent: Annotated[float, Field(ge=0, le=2)] = (
+        1.0
+    )
+    """exponent of that speed, about 20 m/s; 1 in the thesis"""
     hot_pad_threshold_c: Positive = 400.0
     """pad's face above which part of the heat into it does not warm it
     ("dissolves")"""

@@ -25,12 +25,8 @@ from bstm_daemon.analysis.identify.writing import (
 )
 from bstm_daemon.analysis.matching.changes import value_changes
 from bstm_daemon.analysis.matching.learned import settings_of, short
-from bstm_daemon.analysis.matching.tunables import (
-    NODES_MS,
-    TUNABLES,
-    Target,
-    targets_of,
-)
+from bstm_daemon.analysis.matching.targets import targets_of
+from bstm_daemon.analysis.matching.tunables import NODES_MS, TUNABLES, Target
 from bstm_daemon.analysis.statistics.evidence import FREE
 from bstm_daemon.analysis.statistics.series import Column, Matrix
 from bstm_daemon.config.estimates import MatchedConfig, PriorsConfig

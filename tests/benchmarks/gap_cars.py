@@ -23,12 +23,12 @@ from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.gap.signatures import Sensed, candidates, sensed
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.refine import refine
+from bstm_daemon.analysis.matching.targets import targets_of
 from bstm_daemon.analysis.matching.thermocouples import thermocouples_of
 from bstm_daemon.analysis.matching.tunables import (
     TUNABLES,
     Target,
     refined_keys,
-    targets_of,
     usable,
 )
 from bstm_daemon.bus.signals.columns import Events

@@ -24,12 +24,8 @@ from bstm_daemon.analysis.matching.refine import (
     Refinement,
     refine,
 )
-from bstm_daemon.analysis.matching.tunables import (
-    Target,
-    refined_keys,
-    targets_of,
-    usable,
-)
+from bstm_daemon.analysis.matching.targets import targets_of
+from bstm_daemon.analysis.matching.tunables import Target, refined_keys, usable
 from bstm_daemon.analysis.matching.verification import (
     NODES,
     NodeErrors,

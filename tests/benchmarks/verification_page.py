@@ -38,8 +38,8 @@ Each is matched on `simalp` and `rich` and verified on `alpine-descent`,
 `city`, `ams` (ten hard stops), `grossglockner` and `long-run` (2 h 50 min).
 *Unmatched* is the configuration matched once, on the nominal car. The 90 %
 interval uses an `[accuracy]` from one half of the cars and is counted on the
-other half. With the structure `extended` the strengths of its seven thermal
-effects are matched too. The last two settings, a structure on the other's
+other half. With the structure `extended` more is matched
+([matching.md](matching.md)). The last two settings, a structure on the other's
 preset, need not meet the goals: their errors are the gap between model and
 car that `bstm gap` explains.
 

@@ -13,13 +13,13 @@ from bstm_daemon.analysis.gap.evidence import strength_prior
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
 from bstm_daemon.analysis.gap.joint_effects import NormalEquations
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
+from bstm_daemon.analysis.matching.targets import targets_of
 from bstm_daemon.analysis.matching.tunables import (
     MASS,
     SLOW,
     STILL,
     TUNABLES,
     Target,
-    targets_of,
 )
 from bstm_daemon.config.estimates import ChangeConfig, MatchedConfig
 from bstm_daemon.config.reading import load_config

@@ -38,12 +38,12 @@ from bstm_daemon.analysis.gap.searching import search, starts
 from bstm_daemon.analysis.gap.signatures import Linearised, candidates, sensed
 from bstm_daemon.analysis.identify.writing import NO_ENTRIES, Change, Entries
 from bstm_daemon.analysis.matching.learned import known_keys
-from bstm_daemon.analysis.matching.tunables import (
-    Target,
+from bstm_daemon.analysis.matching.targets import (
     measured_targets,
     over_targets,
     targets_of,
 )
+from bstm_daemon.analysis.matching.tunables import Target
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.config.sections import Config

@@ -15,7 +15,7 @@ from bstm_daemon.analysis.matching.learned import (
     short,
 )
 from bstm_daemon.analysis.matching.matcher import Match
-from bstm_daemon.analysis.matching.tunables import EFFECT
+from bstm_daemon.analysis.matching.tunables import EFFECT, FADE
 from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.config.sections import Config
 
@@ -33,7 +33,9 @@ def changes_of(
             notes[key] = origin if isnan(sd) else f"{origin}, sd {sd:.2g}"
             if key == "cooling.s_per_s":
                 notes[key] = f"{origin}, sd {100.0 * sd:.2g} %"
-        changes += value_changes(settings, notes, config, match.corners)
+        changes += value_changes(
+            *(settings, notes, config, match.corners, match.after.linings)
+        )
     changes += _accuracy(matches, origin)
     # what is the car's own, each of its matches says
     return list(dict.fromkeys(changes))
@@ -79,8 +81,11 @@ def value_changes(
     notes: Mapping[str, str],
     config: Config,
     corners: Sequence[str],
+    linings: Sequence[str] = (),
 ) -> list[Change]:
     """Return *settings* of *corners*, each with its note.
+
+    The fade is that of *linings*, if there are any.
 
     A value goes where the configuration has it: to ``[thermal]`` or
     ``[cooling]`` where only *corners* read it there, else to the corners
@@ -91,7 +96,8 @@ def value_changes(
         section, name = split_key(key)
         note = notes[key]
         if section == EFFECT:
-            changes += _of_effect(name, value, note, config, corners)
+            of = linings if key == FADE and linings else corners
+            changes += _of_effect(name, value, note, config, of)
         elif section in {"vehicle", "heat"} or (
             section in {"thermal", "cooling"}
             and _shared(section, name, config, corners)

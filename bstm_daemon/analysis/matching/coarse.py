@@ -24,11 +24,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.identify.guessed import BY_FORCES
-from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
+from bstm_daemon.analysis.matching.effect_values import (
+    effect_value,
+    with_effect_values,
+)
+from bstm_daemon.analysis.matching.power_by import PowerBy
 from bstm_daemon.analysis.matching.problem import Problem, whole_drives
 from bstm_daemon.analysis.matching.tunables import (
     BEYOND_MS,
     DRAG,
+    EFFECT,
+    FADE,
     FAST,
     LEVEL,
     MASS,
@@ -39,6 +45,7 @@ from bstm_daemon.analysis.matching.tunables import (
 from bstm_daemon.analysis.statistics.levenberg_marquardt import minimise
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
+from bstm_daemon.channels import CHANNELS
 from bstm_daemon.errors import UsageError
 
 if TYPE_CHECKING:
@@ -177,7 +184,8 @@ def driven_keys(
     points; the share of the time that is faster still is said.
     """
     found, why = tuple(keys), []
-    if _discs_only(target, drives):
+    discs_only = _discs_only(target, drives)
+    if discs_only:
         found = tuple(key for key in keys if key in OF_DISC)
         out = [key for key in keys if key not in OF_DISC]
         if out:
@@ -206,8 +214,9 @@ def driven_keys(
             f"table's last point, {3.6 * end_ms:.0f} km/h: beyond it a power "
             "law"
         )
-    if any(one.by_drag for one in drives):
-        more.append(DRAG)
+    by = {one.key for drive in drives for one in drive.power_by.values()}
+    if DRAG in by or (by and FAST in found and not discs_only):
+        more += by
     return (*found, *more), why
 
 
@@ -256,14 +265,54 @@ def read_as_guessed(
         drives = [
             replace(
                 drive,
-                by_drag=PowerByDrag.of_inputs(
-                    {area: of_area[area][i].inputs for area in of_area}
+                power_by=_power_by(
+                    DRAG, {area: of_area[area][i] for area in of_area}
                 ),
             )
             for i, drive in enumerate(of_area[area_m2])
         ]
         found.append(Reading(filter_s, drives))
     return found
+
+
+def read_with_fade(
+    reading: Reading,
+    config: Config,
+    linings: Sequence[tuple[str, ...]],
+    read: Callable[[Config], Sequence[Drive]],
+) -> Reading:
+    """Return *reading* of *config* with power by the fade of linings.
+
+    Args:
+        reading: the drives as *config* heats them.
+        config: the vehicle.
+        linings: groups of corners with the same linings.
+        read: reads the drives as another configuration heats them.
+    """
+    drives = list(reading.drives)
+    effect = FADE.removeprefix(f"{EFFECT}.")
+    for corners in linings:
+        strength = effect_value(config, corners[0], effect)
+        if not strength:
+            continue
+        cold = read(with_effect_values(config, corners, {effect: 0.0}))
+        for i, (drive, other) in enumerate(zip(drives, cold, strict=True)):
+            by = _power_by(FADE, {0.0: other, strength: drive})
+            own = {corner: by[corner] for corner in corners}
+            drives[i] = replace(drive, power_by={**drive.power_by, **own})
+    return replace(reading, drives=drives)
+
+
+def _power_by(key: str, drives: Mapping[float, Drive]) -> dict[str, PowerBy]:
+    """Return power by corner of a drive, read at each value of *key*."""
+    index = CHANNELS.index("brake_power_w")
+    values = sorted(drives)
+    power_w = np.array([drives[one].inputs[:, :, index] for one in values])
+    corners = drives[values[0]].corners
+    return {
+        corner: PowerBy(key, np.array(values), power_w[:, :, i])
+        for i, corner in enumerate(corners)
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +372,7 @@ def _keys(target: Target, drives: Sequence[Drive]) -> list[str]:
     wanted: list[str] = [key for key in (MASS, LEVEL) if key in target.guessed]
     if LEVEL in target.guessed:
         wanted += driven_keys(target, drives, [*S_SPEEDS_MS, STILL])[0]
-    elif any(one.by_drag for one in drives):
+    elif any(by.key == DRAG for one in drives for by in one.power_by.values()):
         wanted.append(DRAG)
     return wanted
 

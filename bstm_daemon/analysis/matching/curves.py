@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from bstm_daemon.analysis.matching.drives import Drive
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.matcher import Match
+from bstm_daemon.analysis.matching.problem import power_w
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.estimator.corner_model import compile_corner
 from bstm_daemon.units import KELVIN_OFFSET
@@ -23,20 +24,16 @@ class Curves:
 def curves_of(match: Match, drive: Drive, corner: str) -> list[Curves]:
     """Return each thermocouple of *corner*, and the model as it was and is."""
     # one by one: a match may have added an effect, and with it an edge
-    programs = [
-        (one.config, compile_corner(one.config, one.corner))
-        for one in (match.before, match.after)
-    ]
+    targets = (match.before, match.after)
+    programs = [compile_corner(one.config, one.corner) for one in targets]
     couples = drive.couples(
-        corner, {node.name for node in programs[0][1].network.nodes}
+        corner, {node.name for node in programs[0].network.nodes}
     )
     if not couples:
         return []
     before, after = (
-        march(
-            [program], drive, corner, power_w=drive.power_w(corner, [config])
-        )
-        for config, program in programs
+        march([program], drive, corner, power_w=power_w(drive, corner, [one]))
+        for one, program in zip(targets, programs, strict=True)
     )
     return [
         Curves(

@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
+from bstm_daemon.analysis.matching.power_by import PowerBy
 from bstm_daemon.analysis.matching.thermocouples import (
     NODE_OF,
     THERMOCOUPLES,
@@ -80,8 +80,9 @@ class Drive:
     from ``start_s``. ``learned`` is what fused heat had learned at the end,
     ``roles`` the numbers of those that the log has a sample of. ``speed_ms``
     (steps, n) is the speed at the n estimator steps of each step, of which
-    ``inputs`` has the mean; n is 0 where they were not kept. ``by_drag``
-    replaces the brake power of ``inputs`` where drag is to be found.
+    ``inputs`` has the mean; n is 0 where they were not kept. ``power_by``, by
+    corner, replaces the brake power of ``inputs`` where a value of the heat is
+    to be found.
     ``placed`` has the thermocouples, by corner and node, whose depth is known.
     """
 
@@ -94,7 +95,7 @@ class Drive:
     learned: Sequence[float] | None = None
     roles: frozenset[int] = frozenset()
     speed_ms: Column = field(default_factory=lambda: np.zeros((0, 0)))
-    by_drag: PowerByDrag | None = field(default=None, repr=False)
+    power_by: Mapping[str, PowerBy] = field(default_factory=dict, repr=False)
     placed: Mapping[str, Mapping[str, Placement]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -128,16 +129,6 @@ class Drive:
         ]
         return [pair for pair in pairs if pair[1] in nodes]
 
-    def power_w(self, corner: str, configs: Sequence[Config]) -> Column | None:
-        """Return the brake power for the drag of each of *configs*.
-
-        (steps, configs); None: that of ``inputs``, whatever the drag.
-        """
-        if self.by_drag is None:
-            return None
-        areas = [one.vehicle.drag_area_m2 for one in configs]
-        return self.by_drag.at(self.corners.index(corner), areas)
-
     def part(self, first: int, last: int) -> Drive:
         """Return the steps from *first* up to *last*, as a drive."""
         if (first, last) == (0, len(self)):
@@ -160,14 +151,17 @@ class Drive:
             speed_ms=self.speed_ms[first:last],
             measured=measured,
             estimates=None,
-            by_drag=self.by_drag and self.by_drag.part(slice(first, last)),
+            power_by={
+                corner: one.part(slice(first, last))
+                for corner, one in self.power_by.items()
+            },
         )
 
     def with_power_times(self, factor: float) -> Drive:
         """Return the drive with *factor* times its brake power."""
         inputs = self.inputs.copy()
         inputs[:, :, CHANNELS.index("brake_power_w")] *= factor
-        return replace(self, inputs=inputs, estimates=None, by_drag=None)
+        return replace(self, inputs=inputs, estimates=None, power_by={})
 
     def with_extra_heat(self, heat_w: Column) -> Drive:
         """Return the drive with one more channel, (steps, corners) [W]."""

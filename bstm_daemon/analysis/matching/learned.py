@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from bstm_daemon.analysis.matching.tunables import (
+    FADE,
     NODES_MS,
     SAME,
     TUNABLES,
@@ -73,12 +74,15 @@ def short(value: float) -> float:
 def known_keys(target: Target) -> list[str]:
     """Return what is free in *target*: what its match fitted, if it has one.
 
-    A key that this version does not know is left out.
+    A key that this version does not know is left out, and what acts on the
+    heat.
     """
     one = target.config.matched_of(target.corners[0])
     wanted = refined_keys(target)
     if one is not None:
-        wanted = tuple(key for key in one.names if key in TUNABLES)
+        wanted = tuple(
+            key for key in one.names if key in TUNABLES and key != FADE
+        )
     return usable(target, wanted)[0]
 
 

@@ -46,6 +46,10 @@ from bstm_daemon.analysis.matching.structure import (
     share_left,
     with_contact,
 )
+from bstm_daemon.analysis.matching.targets import (
+    measured_targets,
+    over_targets,
+)
 from bstm_daemon.analysis.matching.tunables import (
     CONTACT,
     COOLING,
@@ -54,8 +58,6 @@ from bstm_daemon.analysis.matching.tunables import (
     SIDES,
     TABLE_4_1,
     Target,
-    measured_targets,
-    over_targets,
     refined_keys,
     usable,
 )

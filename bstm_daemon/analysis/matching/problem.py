@@ -12,7 +12,7 @@ import numpy as np
 
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import initial_temperatures, march
-from bstm_daemon.analysis.matching.tunables import SIDES
+from bstm_daemon.analysis.matching.tunables import SIDES, TUNABLES
 from bstm_daemon.analysis.statistics.student import as_normal
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -161,7 +161,6 @@ class Problem:
             ]
             for name in own
         }
-        configs = [one.config for one in targets]
         found = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for run in self.runs:
@@ -172,13 +171,26 @@ class Problem:
                     run.corner,
                     run.initial_k,
                     run.forced,
-                    self.drives[run.drive].power_w(run.corner, configs),
+                    power_w(self.drives[run.drive], run.corner, targets),
                 )
         return [
             found[term.drive, term.corner].result()[term.node][term.steps]
             - term.measured_k[:, None]
             for term in self.terms
         ]
+
+
+def power_w(
+    drive: Drive, corner: str, targets: Sequence[Target]
+) -> Column | None:
+    """Return the brake power of *corner* for each of *targets*, (steps, k).
+
+    None: that of the drive's inputs, whatever the target.
+    """
+    by = drive.power_by.get(corner)
+    if by is None:
+        return None
+    return by.at([one.value(TUNABLES[by.key]) for one in targets])
 
 
 def whole_drives(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf, log
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,21 +18,16 @@ from bstm_daemon.analysis.matching.effect_values import (
     split_key,
     with_effect_values,
 )
-from bstm_daemon.errors import LogError
 from bstm_daemon.model.effects.catalogue import (
     effect_class,
     effect_names,
-    effects_of,
 )
 from bstm_daemon.model.thermal.brake_corner import cooling_beyond, corner_spec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from bstm_daemon.analysis.matching.drives import Drive
     from bstm_daemon.config.sections import Config, CornerConfig
-
-T = TypeVar("T")
 
 SLOW: Final = "cooling.s_per_s at 36 km/h"
 MIDDLE: Final = "cooling.s_per_s at 70 km/h"
@@ -55,6 +50,7 @@ LEVEL: Final = "cooling.s_per_s"
 DRAG: Final = "vehicle.drag_area_m2"
 MASS: Final = "thermal.disc_mass_correction_factor"
 PARTITION: Final = "thermal.heat_partition_correction_factor"
+WIND: Final = "thermal.fluid_dynamic_convection_exponent"
 STILL: Final = "cooling.standstill_convection_fraction"
 
 SIDES: Final = {
@@ -97,6 +93,7 @@ CONDUCTANCE: Final = f"{EFFECT}.{CONTACT}.conductance_w_m2k"
 have differs tenfold."""
 
 BRACKET_LOSS: Final = f"{EFFECT}.bracket_conduction.loss_w_k"
+AIR_AT_REST: Final = f"{EFFECT}.local_air.parked_w_k"
 
 MADE_IN_PADS: Final = (0.5, 0.8)
 """Largest share of the friction heat that the pads' side of the contact makes,
@@ -104,6 +101,11 @@ and the prior of the factor that sets it, where the contact conducts: Eq 2.3
 holds for faces of equal temperature. Faces apart divide the heat by where it
 is made, up to evenly, and the contact conducts the rest back (Barber, The
 conduction of heat from sliding solids, 1970)."""
+
+
+FADE: Final = f"{EFFECT}.friction_fade.strength"
+"""Of the tunables the one effect that acts on the heat: where an axle fades
+and the other does not, the share of each follows it."""
 
 
 def strength_key(effect: str) -> str:
@@ -166,6 +168,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
             "thermal.fluid_dynamic_convection_ws_mk",
             *(0.003, 2.0, 0.5, "Ws/(m K)", True),
         ),
+        # 0.6 to 0.8 about bodies in a wind (Hilpert 1933)
+        Tunable(WIND, 0.4, 1.2, 0.2, "-"),
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in S_SPEEDS_MS),
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in BEYOND_MS),
         Tunable(LEVEL, 0.03, 30.0, 1.5, "factor"),
@@ -195,6 +199,10 @@ TUNABLES: Final[dict[str, Tunable]] = {
         ),
         # rough faces: 1e3 to 1e4 W/m2K are known, and a tenth of it
         Tunable(CONDUCTANCE, 10.0, 2e4, 1.2, "W/(m2 K)"),
+        # linings of one market lose from none to half of mu when they are hot
+        Tunable(FADE, 0.05, 2.5, 0.7, "x typical"),
+        # what rises through the rim's openings
+        Tunable(AIR_AT_REST, 1.0, 100.0, 0.5, "W/K"),
         # to the wind, and to the knuckle, which is warm
         Tunable(BRACKET_LOSS, 0.05, 10.0, 0.7, "W/K"),
     )
@@ -245,13 +253,15 @@ class Target:
 
     Their configuration is that of ``corner``, the first of them; ``guessed``
     are the tunables whose values in it nobody has measured, ``free`` those
-    that are refined beside the usual ones.
+    that are refined beside the usual ones; ``linings`` are the corners with
+    linings like theirs, themselves if it is empty.
     """
 
     config: Config
     corners: tuple[str, ...]
     guessed: frozenset[str] = frozenset()
     free: tuple[str, ...] = ()
+    linings: tuple[str, ...] = ()
 
     @property
     def corner(self) -> CornerConfig:
@@ -344,7 +354,14 @@ class Target:
         }
         if not of_effects:
             return target
+        fade = FADE.removeprefix(prefix)
+        of_linings = {
+            key: of_effects.pop(key) for key in (fade,) if key in of_effects
+        }
         config = with_effect_values(target.config, self.corners, of_effects)
+        config = with_effect_values(
+            config, self.linings or self.corners, of_linings
+        )
         return replace(target, config=config)
 
     def _each(self, change: Callable[[CornerConfig], CornerConfig]) -> Target:
@@ -400,16 +417,20 @@ def refined_keys(target: Target) -> tuple[str, ...]:
     """Return what the joint refinement changes of *target*.
 
     :data:`REFINED`, and the strengths of the thermal effects that its
-    structure and its ``[[effect]]`` entries have. Those on heat act before
-    the model, in the pass over samples.
+    structure and its ``[[effect]]`` entries have; of ``extended`` also the
+    power of the wind at the caliper. Effects on heat act before the model, in
+    the pass over samples: of them :data:`FADE` is refined where the drives
+    were read for it.
     """
     prefix = f"{EFFECT}."
     strengths = (
         key
         for key, one in TUNABLES.items()
-        if key.startswith(prefix) and target.value(one) > 0.0
+        if key.startswith(prefix) and key != FADE and target.value(one) > 0.0
     )
-    return (*REFINED, *target.free, *strengths)
+    thermal = target.config.thermal_of(target.corner)
+    wind = (WIND,) if thermal.structure == "extended" else ()
+    return (*REFINED, *wind, *target.free, *strengths)
 
 
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -420,81 +441,3 @@ def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:
         for key in keys
         if key not in found
     ]
-
-
-def targets_of(
-    config: Config,
-    measured: Sequence[str],
-    *,
-    each: bool = False,
-    guessed: frozenset[str] = frozenset(),
-) -> list[Target]:
-    """Return the corners with thermocouples, those alike together.
-
-    A right and a left corner of one axle are alike where their disc, pads
-    and models are configured the same; with *each* none are.
-    """
-    groups: dict[str, list[str]] = {}
-    for corner in config.disc_corners():
-        if corner.name not in measured:
-            continue
-        looks = corner.model_dump(
-            exclude={
-                "name": True,
-                "side": True,
-                "axle": True,
-                "friction_coefficient": True,
-                # what wear starts from, no part of the model
-                "pad": {"new_thickness_m", "measured"},
-            }
-        )
-        looks["effect"] = {
-            one.name: dict(one.parameters)
-            for one in effects_of(config)
-            if one.corner in {"all", corner.name}
-        }
-        group = corner.name if each else repr(looks)
-        groups.setdefault(group, []).append(corner.name)
-    return [Target(config, tuple(names), guessed) for names in groups.values()]
-
-
-def measured_targets(
-    config: Config,
-    drives: Sequence[Drive],
-    *,
-    each: bool = False,
-    guessed: frozenset[str] = frozenset(),
-) -> list[Target]:
-    """Return :func:`targets_of` the corners that *drives* measure.
-
-    Raises:
-        LogError: no corner has a thermocouple.
-    """
-    measured = {corner for drive in drives for corner in drive.measured}
-    targets = targets_of(config, sorted(measured), each=each, guessed=guessed)
-    if not targets:
-        names = ", ".join(drive.name for drive in drives)
-        msg = (
-            f"{names}: no measured temperature of a disc brake: this needs "
-            "roles temp_<corner>_<node>"
-        )
-        raise LogError(msg)
-    return targets
-
-
-def over_targets(
-    targets: Sequence[Target],
-    work: Callable[[Target, Callable[[float], None]], T],
-    progress: Callable[[float], None] | None,
-) -> list[T]:
-    """Return what *work* makes of each target and its share of *progress*."""
-    found = []
-    for number, target in enumerate(targets):
-
-        def show(share: float, number: int = number) -> None:
-            if progress is not None:
-                progress((number + share) / len(targets))
-
-        found.append(work(target, show))
-        show(1.0)
-    return found

@@ -10,8 +10,12 @@ from bstm_daemon.analysis.identify.guessed import (
     with_changes,
 )
 from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.coarse import Reading, read_as_guessed
-from bstm_daemon.analysis.matching.drives import read_drives
+from bstm_daemon.analysis.matching.coarse import (
+    Reading,
+    read_as_guessed,
+    read_with_fade,
+)
+from bstm_daemon.analysis.matching.drives import Drive, read_drives
 from bstm_daemon.analysis.matching.matcher import Match, match_drives
 from bstm_daemon.analysis.matching.tunables import DRAG, Target
 from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -68,17 +72,13 @@ def match_logs(  # noqa: PLR0913
     config = with_changes(config, by_forces)
     guessed -= {f"{one.section}.{one.key}" for one in by_forces}
 
+    def drives_of(config: Config) -> list[Drive]:
+        return read_drives(logs, config, signal_map, overrides, progress)
+
     def readings(
         of: Config, guessed: frozenset[str], near_m2: Sequence[float] = ()
     ) -> list[Reading]:
-        return read_as_guessed(
-            of,
-            guessed,
-            lambda one: read_drives(
-                logs, one, signal_map, overrides, progress
-            ),
-            near_m2,
-        )
+        return read_as_guessed(of, guessed, drives_of, near_m2)
 
     def matches(readings: list[Reading], *, last: bool) -> list[Match]:
         return match_drives(
@@ -100,8 +100,14 @@ def match_logs(  # noqa: PLR0913
         found = matches(readings(config, guessed, near_m2), last=True)
     if again:
         # friction is that at the temperatures of the matched model
-        as_matched = readings(_with_values(config, found), frozenset())
-        found = matches(as_matched, last=True)
+        as_matched = _with_values(config, found)
+        (reading,) = readings(as_matched, frozenset())
+        if not only:
+            linings = {one.before.linings for one in found}
+            reading = read_with_fade(
+                *(reading, as_matched, sorted(linings), drives_of)
+            )
+        found = matches([reading], last=True)
     return Matched(config, found, by_forces, why_not)
 
 

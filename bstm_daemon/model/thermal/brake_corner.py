@@ -61,6 +61,9 @@ kg/m3, 480 J/kgK, on 1.15 times the lining's area."""
 SPEED_LIMIT_MS: Final = 120.0
 """Upper end of tables over speed."""
 
+WIND_MS: Final = 20.0
+"""Speed at which the caliper's loss is the same with every exponent."""
+
 
 @dataclass(frozen=True, slots=True)
 class CornerSpec:
@@ -276,6 +279,10 @@ def lumped_fluid(net: Network, spec: CornerSpec) -> Network:
     resistance = thermal.pad_backplate_thermal_resistance_m2k_w
     shim = spec.pads_area_m2 / (resistance * (1.0 - PLATE_RESISTANCE_SHARE))
     sink = "fluid" if thermal.hammerhead_sink == "fluid" else "ambient"
+    # one structure for every exponent, where a match may move it
+    bent = thermal.structure == "extended"
+    exponent = thermal.fluid_dynamic_convection_exponent
+    wind = _speed_power(exponent, WIND_MS, always=bent)
     return net.with_node(
         Node("fluid", thermal.fluid_caliper_thermal_capacity_j_k)
     ).with_link(
@@ -301,7 +308,7 @@ def lumped_fluid(net: Network, spec: CornerSpec) -> Network:
             "fluid",
             "ambient",
             thermal.fluid_dynamic_convection_ws_mk,
-            (value("speed_ms"),),
+            (wind,),
         ),
     )
 
@@ -415,13 +422,21 @@ def _built(
     raise ConfigError([msg])
 
 
-def _speed_power(exponent: float) -> Factor:
-    if exponent == 1.0:
+def _speed_power(
+    exponent: float, about_ms: float = 1.0, *, always: bool = False
+) -> Factor:
+    """Return a power of the speed that is the speed itself at *about_ms*.
+
+    Without a table where that is no power, but *always*.
+    """
+    if exponent == 1.0 and not always:
         return value("speed_ms")
-    return value(
-        "speed_ms",
-        Table.from_function(lambda v: v**exponent, 0.0, SPEED_LIMIT_MS, 481),
-    )
+
+    def power(v: float) -> float:
+        return float(about_ms * (v / about_ms) ** exponent)
+
+    table = Table.from_function(power, 0.0, SPEED_LIMIT_MS, 481)
+    return value("speed_ms", table)
 
 
 def _constant_and_table(quantity: float | Curve) -> tuple[float, Table | None]:

@@ -14,8 +14,8 @@ from bstm_daemon.analysis.gap.fitting import directions
 from bstm_daemon.analysis.gap.searching import _far, _in_best_forms, search
 from bstm_daemon.analysis.gap.signatures import Sensed, forms_of, sensed
 from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.targets import targets_of
 from bstm_daemon.analysis.matching.thermocouples import Thermocouple
-from bstm_daemon.analysis.matching.tunables import targets_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable

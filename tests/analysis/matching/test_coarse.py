@@ -25,7 +25,7 @@ from bstm_daemon.analysis.matching.coarse import (
 )
 from bstm_daemon.analysis.matching.drives import Thermocouple
 from bstm_daemon.analysis.matching.matcher import match_drives
-from bstm_daemon.analysis.matching.power_by_drag import PowerByDrag
+from bstm_daemon.analysis.matching.power_by import PowerBy
 from bstm_daemon.analysis.matching.tunables import (
     BEYOND_MS,
     DRAG,
@@ -67,11 +67,14 @@ def sparse(made: Callable[..., Drive]) -> Drive:
     power = drive.inputs[:, :, CHANNELS.index("brake_power_w")]
     areas = np.array([0.4, 0.8, 1.6])
     braked = power > 0.0
-    powers = [power + braked * 1e4 * (0.8 - area) for area in areas]
+    powers = np.array([power + braked * 1e4 * (0.8 - area) for area in areas])
     inputs = drive.inputs.copy()
     inputs[:, :, CHANNELS.index("brake_power_w")] = powers[0]
-    by_drag = PowerByDrag(areas, np.array(powers))
-    return replace(drive, inputs=inputs, by_drag=by_drag)
+    power_by = {
+        corner: PowerBy(DRAG, areas, powers[:, :, i])
+        for i, corner in enumerate(drive.corners)
+    }
+    return replace(drive, inputs=inputs, power_by=power_by)
 
 
 @pytest.fixture
@@ -138,7 +141,7 @@ def test_the_share_of_time_beyond_the_cooling_table_is_said(
 
     # where the table is not matched, nobody asks
     keys, why = driven_keys(
-        guessing, [replace(sparse, inputs=inputs, by_drag=None)], [MASS]
+        guessing, [replace(sparse, inputs=inputs, power_by={})], [MASS]
     )
     assert (keys, why) == ((MASS,), [])
 
@@ -151,7 +154,7 @@ def test_a_second_thermocouple_of_a_disc_is_of_the_disc(
     fluid = {"FL": {"disc": disc, "fluid": disc}}
 
     for measured, alone in ((twice, True), (fluid, False)):
-        drive = replace(sparse, measured=measured, by_drag=None)
+        drive = replace(sparse, measured=measured, power_by={})
         keys, _ = driven_keys(guessing, [drive], ["thermal.disc_emissivity"])
         assert (not keys) == alone
 
@@ -159,7 +162,7 @@ def test_a_second_thermocouple_of_a_disc_is_of_the_disc(
 def test_nothing_is_searched_where_nothing_is_guessed(
     target: Target, sparse: Drive
 ) -> None:
-    plain = replace(sparse, by_drag=None)
+    plain = replace(sparse, power_by={})
 
     found = search(target, [Reading(None, [plain])])
 
@@ -236,7 +239,7 @@ def test_drives_are_read_with_each_drag_and_filter(
         asked.append((of.heat.derivative_filter_s, area_m2))
         inputs = sparse.inputs.copy()
         inputs[:, :, place] = area_m2
-        return [replace(sparse, inputs=inputs, by_drag=None)]
+        return [replace(sparse, inputs=inputs, power_by={})]
 
     found = read_as_guessed(config, frozenset({DRAG, FILTER}), read)
 
@@ -249,9 +252,11 @@ def test_drives_are_read_with_each_drag_and_filter(
     assert [one.filter_s for one in found] == [None, *FILTERS_S]
     for reading in found:
         (drive,) = reading.drives
-        assert drive.by_drag is not None
-        assert drive.by_drag.area_m2.tolist() == areas
-        assert drive.by_drag.power_w[:, 0, 0].tolist() == areas
+        for by in drive.power_by.values():
+            assert by.key == DRAG
+            assert by.value.tolist() == areas
+            assert by.power_w[:, 0].tolist() == areas
+        assert drive.power_by.keys() == set(drive.corners)
         assert drive.inputs[0, 0, place] == configured
 
     asked.clear()
@@ -266,7 +271,7 @@ def test_drives_are_read_with_each_drag_and_filter(
         (guessing.config, frozenset({DRAG})),
     ):
         (plain,) = read_as_guessed(of, guessed, read)
-        assert plain.drives[0].by_drag is None
+        assert not plain.drives[0].power_by
     assert len(asked) == 2
 
 

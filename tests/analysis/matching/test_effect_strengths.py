@@ -16,15 +16,17 @@ from bstm_daemon.analysis.matching.effect_values import effect_value
 from bstm_daemon.analysis.matching.identifiability import verdicts
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.problem import Problem
+from bstm_daemon.analysis.matching.targets import targets_of
 from bstm_daemon.analysis.matching.tunables import (
+    AIR_AT_REST,
     BRACKET_LOSS,
     REFINED,
     STRENGTHS,
     TUNABLES,
+    WIND,
     Target,
     refined_keys,
     strength_key,
-    targets_of,
 )
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
@@ -113,7 +115,9 @@ def test_strengths_of_what_the_structure_has_are_refined(
 ) -> None:
     assert refined_keys(target) == REFINED
     assert set(refined_keys(extended)) - set(REFINED) == {
+        AIR_AT_REST,
         BRACKET_LOSS,
+        WIND,
         *map(strength_key, STRENGTHS),
     }
 

@@ -148,13 +148,19 @@ def test_logs_are_read_anew_where_friction_follows_temperature(
 
     def read(of: Any, guessed: Any, one: Any, near_m2: Any) -> list[Any]:
         near.append(tuple(near_m2))
-        return [one(of), guessed]
+        assert guessed == (frozenset({DRAG}) if len(near) < 3 else set())
+        return [one(of)]
+
+    def fading(reading: Any, of: Any, linings: Any, read: Any) -> Any:
+        assert (linings, of) == ([target.linings], reads[2][1])
+        return [*reading, *read(config)]
 
     monkeypatch.setattr(
         workflow, "read_drives", lambda *of: reads.append(of) or [len(reads)]
     )
     monkeypatch.setattr(workflow, "match_drives", match)
     monkeypatch.setattr(workflow, "read_as_guessed", read)
+    monkeypatch.setattr(workflow, "read_with_fade", fading)
     monkeypatch.setattr(
         workflow, "identified_guesses", lambda *_: ([], ["no stop"])
     )
@@ -172,7 +178,9 @@ def test_logs_are_read_anew_where_friction_follows_temperature(
     assert [one["beside"] for one in fits] == [not again, True, True][
         : len(near)
     ]
-    assert [one["readings"][0] for one in fits] == [[1], [2], [3]][: len(near)]
+    assert [one["readings"] for one in fits] == [[[1]], [[2]], [[3, 4]]][
+        : len(near)
+    ]
     assert all(one["each"] and one["only"] == "" for one in fits)
     for logs, of, *rest in reads:
         assert (logs, rest) == ([tmp_path], [signal_map, overrides, None])

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import pytest
 
 from bstm_daemon.analysis.matching.tunables import (
     DRAG,
+    FADE,
     FAST,
     LEVEL,
     MASS,
@@ -20,23 +18,15 @@ from bstm_daemon.analysis.matching.tunables import (
     TABLE_4_1,
     TUNABLES,
     Target,
-    measured_targets,
     strength_key,
-    targets_of,
     usable,
 )
 from bstm_daemon.analysis.statistics.student import as_normal
-from bstm_daemon.cli.vehicle import load_vehicle
 from bstm_daemon.config.estimates import PriorsConfig
 from bstm_daemon.config.sections import EffectConfig
-from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
-from bstm_daemon.files import shipped_file
 from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.model.thermal.program import same_structure
-
-if TYPE_CHECKING:
-    from bstm_daemon.config.sections import Config
 
 
 def test_the_thesis_has_nine_and_the_refinement_twelve() -> None:
@@ -66,8 +56,8 @@ def test_a_value_is_read_where_it_is_written(key: str, target: Target) -> None:
     assert changed.config.corner[1] == target.config.corner[1]
 
 
-# drag acts before the model
-@pytest.mark.parametrize("key", sorted(TUNABLES.keys() - {DRAG, *SIDES}))
+# drag and fade act before the model
+@pytest.mark.parametrize("key", sorted(TUNABLES.keys() - {DRAG, FADE, *SIDES}))
 def test_variants_are_lanes_of_one_march(key: str, target: Target) -> None:
     target = having(target, key)
     tunable = TUNABLES[key]
@@ -124,30 +114,6 @@ def test_what_is_zero_stays_and_is_said(target: Target) -> None:
 
     assert keys == ["thermal.disc_emissivity"]
     assert "pad_static_loss_w_k is 0" in remarks[0]
-
-
-def test_alike_corners_are_matched_together(config: Config) -> None:
-    found = targets_of(config, ["FL", "FR", "RL"])
-
-    assert [one.corners for one in found] == [("FL", "FR"), ("RL",)]
-
-
-def test_or_each_by_itself(config: Config) -> None:
-    found = targets_of(config, ["FL", "FR"], each=True)
-
-    assert [one.corners for one in found] == [("FL",), ("FR",)]
-
-
-def test_drives_without_a_thermocouple_are_refused() -> None:
-    """The message names the drives and what they lack."""
-    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
-    drives: Any = [
-        SimpleNamespace(name=name, measured={}) for name in ("one", "two")
-    ]
-    with pytest.raises(
-        LogError, match=r"^one, two: .* roles temp_<corner>_<node>$"
-    ):
-        measured_targets(config, drives)
 
 
 def test_priors_of_the_type_count_while_the_value_is_the_types(

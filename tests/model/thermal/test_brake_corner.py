@@ -246,6 +246,34 @@ def test_hammerhead_exponent(make_spec: MakeSpec, exponent: float) -> None:
     assert value == pytest.approx(16.0**exponent)
 
 
+@pytest.mark.parametrize("structure", ["thesis", "extended"])
+@pytest.mark.parametrize(
+    ("exponent", "at_5_ms", "at_80_ms"),
+    [(0.5, 10.0, 40.0), (1.0, 5.0, 80.0), (2.0, 1.25, 320.0)],
+)
+def test_the_wind_at_the_caliper_is_a_power_about_20_ms(
+    structure: str,
+    exponent: float,
+    at_5_ms: float,
+    at_80_ms: float,
+    make_spec: MakeSpec,
+) -> None:
+    """A match moves it: where it may, exponent 1 has a table as well."""
+    spec = make_spec(
+        thermal={
+            "fluid_dynamic_convection_exponent": exponent,
+            "structure": structure,
+        }
+    )
+    (factor,) = build_corner(spec, INPUTS).link("fluid_dynamic").factors
+    if factor.table is None:
+        assert (structure, exponent) == ("thesis", 1.0)
+        return
+    assert factor.table(5.0) == pytest.approx(at_5_ms)
+    assert factor.table(20.0) == pytest.approx(20.0)
+    assert factor.table(80.0) == pytest.approx(at_80_ms)
+
+
 def test_correction_factors(make_spec: MakeSpec) -> None:
     """Mass factor on the disc, gamma on the pads' share only."""
     plain = build_corner(make_spec(), INPUTS)

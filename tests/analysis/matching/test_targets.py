@@ -1,0 +1,54 @@
+"""Corners matched together, and whose linings are alike."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bstm_daemon.analysis.matching.targets import measured_targets, targets_of
+from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.sections import Config
+from bstm_daemon.errors import LogError
+from bstm_daemon.files import shipped_file
+
+
+def test_alike_corners_are_matched_together(config: Config) -> None:
+    found = targets_of(config, ["FL", "FR", "RL"])
+
+    assert [one.corners for one in found] == [("FL", "FR"), ("RL",)]
+
+
+def test_or_each_by_itself(config: Config) -> None:
+    found = targets_of(config, ["FL", "FR"], each=True)
+
+    assert [one.corners for one in found] == [("FL",), ("FR",)]
+
+
+def test_drives_without_a_thermocouple_are_refused() -> None:
+    """The message names the drives and what they lack."""
+    config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
+    drives: Any = [
+        SimpleNamespace(name=name, measured={}) for name in ("one", "two")
+    ]
+    with pytest.raises(
+        LogError, match=r"^one, two: .* roles temp_<corner>_<node>$"
+    ):
+        measured_targets(config, drives)
+
+
+def test_corners_without_thermocouples_have_linings_of_a_measured_one(
+    config: Config,
+) -> None:
+    """Of their axle first; each corner's linings are those of one target."""
+
+    def linings(*measured: str, each: bool = False) -> list[tuple[str, ...]]:
+        found = targets_of(config, measured, each=each)
+        return [one.linings for one in found]
+
+    every = tuple(corner.name for corner in config.disc_corners())
+    assert every == ("FL", "FR", "RL", "RR")
+    assert linings("FL") == [every]
+    assert linings("RR") == [every]
+    assert linings("FL", "FR") == [every]
+    assert linings("FR", "RL") == [("FL", "FR"), ("RL", "RR")]
+    assert linings("FL", "FR", each=True) == [("FL", "RL", "RR"), ("FR",)]
