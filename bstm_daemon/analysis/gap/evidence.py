@@ -33,7 +33,8 @@ NOTHING: Final = 0.5
 PLACEBOS: Final = 20
 """Candidates that can not be: the best one's signature at other times."""
 
-STRENGTHS: Final = np.geomspace(0.05, 4.0, 60)
+STRONGEST: Final = 4.0
+STRENGTHS: Final = np.geomspace(0.05, STRONGEST, 60)
 LOG_CENTRE: Final = -0.2
 LOG_WIDTH: Final = 0.8
 """Prior of a strength: log-normal about the typical one."""
@@ -60,6 +61,11 @@ class Candidate:
         """Signed-root score in standard deviations."""
         return float(np.sqrt(max(2.0 * self.gain, 0.0)))
 
+
+STAND_IN: Final = 0.15
+NEARLY: Final = 0.1
+"""Who wants more than the strongest that is known, within a tenth, stands in
+for something alike: such a share of what it explains is not its own."""
 
 DETECTED: Final = 3.5
 """Standard deviations that count as detected."""
@@ -92,6 +98,19 @@ def weigh(
         log_evidence,
         DETECTED / float(np.sqrt(slope)),
     )
+
+
+def held_back(candidate: Candidate, most: float) -> Candidate:
+    """Return *candidate* as it counts if it would be stronger than any.
+
+    Not where it has a largest strength *most* of its own: physics ends there.
+    """
+    size = abs(candidate.strength)
+    near = min(candidate.deviation, NEARLY * size)
+    if most < STRONGEST or size + near < STRONGEST:
+        return candidate
+    evidence = candidate.log_evidence - STAND_IN * candidate.gain
+    return replace(candidate, log_evidence=evidence)
 
 
 def strength_prior(

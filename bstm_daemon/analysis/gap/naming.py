@@ -20,6 +20,7 @@ from bstm_daemon.analysis.gap.evidence import (
     best_placebo,
     cross_validated,
     explained_share,
+    held_back,
     likeliest,
     missing_evidence,
     missing_probability,
@@ -169,7 +170,7 @@ def name_effect(
     project = Projector(linearised.jacobian, layout.prior)
     found = sorted(
         (
-            weigh(project, linearised.residual, one)
+            held_back(weigh(project, linearised.residual, one), one.most)
             for one in linearised.signatures
         ),
         key=lambda one: -one.log_evidence,

@@ -17,6 +17,7 @@ from bstm_daemon.analysis.gap.advising import (
     prospect,
 )
 from bstm_daemon.analysis.gap.comparison import Comparison, heats
+from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.fitting import (
     Fit,
     askable,
@@ -167,7 +168,8 @@ def _refuted(
 ) -> tuple[str, ...]:
     """Return what temperatures suggest and forces would show, but do not.
 
-    Friction moves forces more plainly than temperatures, which motion heats.
+    Or show with the other sign. Friction moves forces more plainly than
+    temperatures, which motion heats.
     """
     suggested = [
         one
@@ -179,12 +181,17 @@ def _refuted(
         return ()
     forces = by_forces()
     seen = () if forces is None else forces.naming.candidates
-    own = {one.name: one for one in seen if one.log_evidence < 0.0}
-    return tuple(
-        one.name
-        for one in suggested
-        if one.name in own and own[one.name].reach <= abs(one.strength)
-    )
+    own = {one.name: one for one in seen}
+
+    def speaks_against(one: Candidate) -> bool:
+        by = own.get(one.name)
+        if by is None:
+            return False
+        if by.log_evidence < 0.0:
+            return by.reach <= abs(one.strength)
+        return by.strength * one.strength < 0.0
+
+    return tuple(one.name for one in suggested if speaks_against(one))
 
 
 def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
@@ -239,7 +246,8 @@ def _gap(  # noqa: PLR0913
         *(target.corners, names, points, located, naming, known.silent),
         matched=comparison.matched,
     )
-    forces = None if naming.found else by_forces()
+    plain_name = naming.answer in {"name", "class"}
+    forces = None if plain_name else by_forces()
     if forces is not None and forces.naming.answer == "name":
         # motion heats whatever friction is: nothing to fit to temperatures
         reason = f"by forces, pressure against motion: {forces.naming.reason}"

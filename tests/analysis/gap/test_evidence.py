@@ -11,6 +11,7 @@ from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     cross_validated,
     explained_share,
+    held_back,
     missing_evidence,
     missing_probability,
     probabilities,
@@ -84,6 +85,55 @@ def test_a_strength_stays_within_what_physics_allows() -> None:
     grid, weights = strength_prior(2.5, either_sign=True)
     assert abs(grid).max() <= 2.5
     assert weights.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("strength", "deviation", "most", "share"),
+    [
+        (4.0, 0.1, 10.0, 0.15),
+        (-3.8, 0.3, 10.0, 0.15),
+        (3.6, 0.35, 10.0, 0.0),
+        (3.6, 2.0, 10.0, 0.0),
+        (3.7, 2.0, 10.0, 0.15),
+        (3.0, 9.0, 10.0, 0.0),
+        (2.4, 0.3, 2.5, 0.0),
+    ],
+)
+def test_what_would_be_stronger_than_any_counts_less(
+    strength: float, deviation: float, most: float, share: float
+) -> None:
+    """A tenth beyond at the most; not where physics ends before."""
+    one = Candidate("caliper_bypass", strength, deviation, 60.0, 50.0, 1.0)
+
+    counted = held_back(one, most)
+
+    assert counted.log_evidence == pytest.approx(50.0 - share * 60.0)
+    assert counted.gain == one.gain
+
+
+def test_one_of_usual_strength_is_named_before_a_stand_in(
+    layout: Layout,
+) -> None:
+    """What would be 4.3 times the typical explains a little more."""
+    at = np.arange(DRIVES * POINTS)
+    own, beside = np.sin(at / 20.0), np.cos(at / 7.0)
+    noise = np.random.default_rng(1).normal(size=len(at))
+    strong = (2.0 * own + 0.35 * beside) / 4.3
+    signatures = tuple(
+        Signature(name, one, 0.0 * one, one, either_sign=False)
+        for name, one in (("caliper_bypass", strong), ("shim_contact", own))
+    )
+    tunables = np.zeros((len(at), len(PRIOR)))
+    known = Linearised(
+        *(-2.0 * own - 0.35 * beside + noise, tunables, signatures, (), ())
+    )
+
+    found = name_effect(layout, known, alone=True)
+
+    first, second = found.candidates
+    assert (first.name, second.name) == ("shim_contact", "caliper_bypass")
+    assert second.gain > first.gain
+    assert (found.answer, found.names) == ("name", ("shim_contact",))
 
 
 @pytest.fixture

@@ -144,11 +144,13 @@ def test_nothing_is_fitted_where_nothing_is_named(
 
 
 @pytest.mark.parametrize("answer", ["name", "nothing", "unknown", None])
-def test_forces_are_asked_where_temperatures_show_nothing(
+@pytest.mark.parametrize("shown", ["nothing", "unknown", "composed"])
+def test_forces_are_asked_where_temperatures_name_nothing(
     steps: Callable[..., tuple[Any, list[str]]],
     config: Config,
     monkeypatch: pytest.MonkeyPatch,
     answer: Answer | None,
+    shown: Answer,
 ) -> None:
     """A clear name alone counts, of a car whose forces are known."""
     done = []
@@ -162,9 +164,9 @@ def test_forces_are_asked_where_temperatures_show_nothing(
         return SimpleNamespace(naming=naming)
 
     monkeypatch.setattr(workflow, "find_force_gap", forces)
-    nothing = NAMED.answered("nothing", (), 0.6, "")
+    nothing = NAMED.answered(shown, (), 0.6, "")
 
-    gap, found = steps(nothing, "show")
+    gap, found = steps(nothing, "name")
     assert gap.naming is nothing
     assert not done
 
@@ -173,7 +175,7 @@ def test_forces_are_asked_where_temperatures_show_nothing(
     named, _ = steps(NAMED, "name")
     assert named.naming is NAMED
     assert not done
-    gap, found = steps(nothing, "show")
+    gap, found = steps(nothing, "name")
 
     assert len(done) == 1
     assert found == [*ORDER[:3]]
@@ -196,12 +198,18 @@ FADE = "friction_fade"
         (-0.1, 0.8, -0.9, (FADE,)),
         (0.1, 0.8, 0.9, ()),
         (-0.1, 1.0, 0.9, ()),
+        (-0.1, 1.0, -0.9, ()),
+        (0.1, 0.8, -0.9, (FADE,)),
+        (0.1, 0.8, -0.2, (FADE,)),
     ],
 )
 def test_forces_refute_a_friction_that_they_would_show(
     evidence: float, reach: float, strength: float, refuted: tuple[str, ...]
 ) -> None:
-    """Whether it is named or only the best; of what heats, and if asked."""
+    """Whether it is named or only the best; of what heats, and if asked.
+
+    Or that they show with the other sign.
+    """
     own = Candidate(FADE, 0.1, 0.1, 0.0, evidence, reach)
     other = Candidate("wet_disc", 0.1, 0.1, 0.0, -1.0, 0.1)
     forces: Any = SimpleNamespace(
