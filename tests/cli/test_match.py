@@ -89,6 +89,7 @@ def matched(log: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_matched_car_is_a_configuration_with_its_comments(
     matched: Path,
 ) -> None:
@@ -111,6 +112,7 @@ def test_the_matched_car_is_a_configuration_with_its_comments(
     assert config.accuracy.fluid_k is not None
 
 
+@pytest.mark.slow
 def test_what_its_forces_showed_is_handed_on(matched: Path, log: Path) -> None:
     vehicle = load_vehicle(matched / "new.toml")
     recording = read_recording(log, *vehicle)
@@ -125,6 +127,7 @@ def test_what_its_forces_showed_is_handed_on(matched: Path, log: Path) -> None:
     assert known.forces_sd == pytest.approx(deviations, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_rear_corners_keep_their_own_values(matched: Path) -> None:
     """They have no thermocouples, and keys of their own."""
     before, after = load_config(EXAMPLE), load_config(matched / "new.toml")
@@ -134,6 +137,7 @@ def test_the_rear_corners_keep_their_own_values(matched: Path) -> None:
         assert after.thermal_of(after.corner[corner]) == old
 
 
+@pytest.mark.slow
 def test_json_has_what_the_screen_says(matched: Path) -> None:
     data = json.loads((matched / "match.json").read_text("utf-8"))
 
@@ -154,6 +158,7 @@ def test_json_has_what_the_screen_says(matched: Path) -> None:
     assert "steps" not in data
 
 
+@pytest.mark.slow
 def test_the_page_has_figure_5_2(matched: Path) -> None:
     page = (matched / "match.html").read_text("utf-8")
 

@@ -171,6 +171,7 @@ def rich() -> Drive:
     return estimate("rich")
 
 
+@pytest.mark.slow
 def test_an_ordinary_drive_is_right_and_suspects_nothing(rich: Drive) -> None:
     assert rich.error == pytest.approx(0.0, abs=0.04)
     assert abs(rich.ff_j / rich.real.sum() - 1.0) > 0.1
@@ -199,6 +200,7 @@ def test_a_pushed_car_without_the_role_teaches_nothing() -> None:
     assert pushed.energy.sum() == pytest.approx(pushed.ff_j)
 
 
+@pytest.mark.slow
 def test_a_pushed_car_with_the_role_is_weighed() -> None:
     """The push is a force like the engine's: no suspicion, friction found."""
     pushed = estimate("simalp", "external_force")
@@ -239,6 +241,7 @@ def test_a_wrong_accelerometer_is_named_and_not_learned_away(
     assert wrong.energy.sum() == pytest.approx(wrong.ff_j, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_wrong_wheel_radius_is_named() -> None:
     roles = driven("rich").roles
     columns = {role: 1.08 * roles[role] for role in (*WHEELS, "vehicle_speed")}
@@ -249,6 +252,7 @@ def test_a_wrong_wheel_radius_is_named() -> None:
     assert wrong.untaught
 
 
+@pytest.mark.slow
 def test_a_dead_pressure_is_named_and_the_motion_heats() -> None:
     """The friction stays as it was; the heat is that of the motion."""
     nothing = np.zeros_like(driven("rich").roles["primary_pressure"])

@@ -58,6 +58,7 @@ def test_what_contradicts_is_beyond_all_three(
         assert found is (errors[1] if against and held_out else None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_out_has_it", [True, False])
 def test_a_name_that_a_held_out_drive_contradicts_is_not_given(
     config: Config,

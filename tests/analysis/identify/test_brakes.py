@@ -87,6 +87,7 @@ def test_push_out(identified: Callable[..., Brakes], sensors: str) -> None:
     assert some.scale.value == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_push_out_beside_friction_that_leans(
     identified: Callable[..., Brakes],
 ) -> None:
@@ -153,6 +154,7 @@ def test_friction_that_leans_is_written_as_one_law(
     assert kept == pytest.approx(after, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_hydraulic_lag(identified: Callable[..., Brakes]) -> None:
     found = identified(hydraulic_lag=1.0)
 

@@ -49,6 +49,7 @@ def found(logged: Logged, driving: Reader, example: Example) -> BrakedAxle:
     return axle
 
 
+@pytest.mark.slow
 def test_line_over_speed(found: BrakedAxle) -> None:
     """The reality's h A over m c_p: in 15 %, and two and a half errors."""
     for speed_kmh, true in (
@@ -62,6 +63,7 @@ def test_line_over_speed(found: BrakedAxle) -> None:
     assert not found.caveat
 
 
+@pytest.mark.slow
 def test_windows_not_fitted_are_predicted(found: BrakedAxle) -> None:
     """20 to 720 °C: nearly as well as those fitted; not fitted as better."""
     assert found.fitted_k < found.held_k < 12.0
@@ -71,12 +73,14 @@ def test_windows_not_fitted_are_predicted(found: BrakedAxle) -> None:
     assert np.sqrt(np.mean(apart**2)) == pytest.approx(found.held_k)
 
 
+@pytest.mark.slow
 def test_heat_of_the_configured_car(found: BrakedAxle) -> None:
     """Mass, shares and disc are right to 15 %, tyre slip is in it."""
     assert found.heat[0] == pytest.approx(1.0, abs=0.2)
     assert found.heat[1] < 0.1
 
 
+@pytest.mark.slow
 def test_table_to_configure(found: BrakedAxle, example: Example) -> None:
     changes = cooling_changes([found], example[0])
 
@@ -95,6 +99,7 @@ def test_table_to_configure(found: BrakedAxle, example: Example) -> None:
     assert rest[1] > 0.0
 
 
+@pytest.mark.slow
 def test_what_is_faster_is_told_of_the_table_that_is_found(
     found: BrakedAxle,
 ) -> None:

@@ -78,6 +78,7 @@ def test_it_begins_at_the_first_reading() -> None:
     assert found.rms_k < 0.2
 
 
+@pytest.mark.slow
 def test_a_drive_without_a_pressure_leaves_the_motion() -> None:
     drives = [made(MOTION, name="one"), made(MOTION, seed=2)]
     drives[0].inputs[:, :, CHANNELS.index("pressure_pa")] = 1e6
@@ -142,6 +143,7 @@ def test_a_corner_without_a_thermocouple_at_its_disc_has_none() -> None:
     assert np.isnan(fitted(drive).rms_on([replace(drive, measured={})]))
 
 
+@pytest.mark.slow
 def test_an_hour_takes_well_below_a_second() -> None:
     drive = made(MOTION | HAT, 60.0)
     hour = replace(

@@ -71,6 +71,7 @@ def test_right_values_are_found(
     assert max(fit.rms_k.values()) < 2.0
 
 
+@pytest.mark.slow
 def test_alike_discs_have_values_of_their_own(
     target: Target, made: Callable[..., Drive]
 ) -> None:

@@ -175,6 +175,7 @@ TWO = "disc and hat fitted to others + 1 K"
 OWN = "3 x disc of one node fitted to it + 1 K"
 
 
+@pytest.mark.slow
 def test_a_model_is_held_against_what_other_drives_give() -> None:
     """One node misses the hat, so that 2 K of the model are better."""
     drives = [lumped(HAT, name="a"), lumped(HAT, seed=2, name="b")]

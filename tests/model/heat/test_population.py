@@ -101,6 +101,7 @@ def test_columns_give_what_frames_give(
         )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("compiled_chosen")
 def test_learning_makes_the_heat_right(cases: Any) -> None:
     """One car of the population: where FF and FB alone are far off."""

@@ -185,7 +185,7 @@ def stuck(share: float) -> Spoil:
         ("launches", torque(0.8, 0.0), 0),
         ("launches", drive_torque(1.25), 1),
         pytest.param("city", None, 1, marks=pytest.mark.slow),
-        ("city", torque(1.1, 300.0), 0),
+        pytest.param(*("city", torque(1.1, 300.0), 0), marks=pytest.mark.slow),
         ("assist", None, 1),
     ],
 )
