@@ -17,6 +17,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from recordings import kept, recorded
 
+from bstm_daemon.analysis.matching.coarse import (
+    Reading,
+    driven_keys,
+    read_with_fade,
+)
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive, read_drive
 from bstm_daemon.analysis.matching.march import initial_temperatures, march
 from bstm_daemon.analysis.matching.refine import (
@@ -277,8 +282,9 @@ def matched(
 
     *after* is what the drives taught when their heat was another.
     """
-    found, _ = usable(target, keys or refined_keys(target))
     logs = [one.drive for one in drives]
+    wanted = keys or driven_keys(target, logs, refined_keys(target))[0]
+    found, _ = usable(target, wanted)
     if after is None:
         fit = refine(target, logs, found)
     else:
@@ -301,12 +307,20 @@ def matched_by(
 
     *read* gives a drive with the heat that a configuration forms, at first
     *begin*'s. Where heat asks for temperatures the drives are read again with
-    the matched ones.
+    the matched ones, and without fade.
     """
     found, fit = matched(target, [read(name, begin) for name in MATCHED_ON])
     if not follows_temperature(setting):
         return found, fit
     again = [read(name, found.config) for name in MATCHED_ON]
+    fading = read_with_fade(
+        Reading(None, [one.drive for one in again]),
+        found.config,
+        [target.linings],
+        lambda config: [read(name, config).drive for name in MATCHED_ON],
+    )
+    pairs = zip(again, fading.drives, strict=True)
+    again = [replace(one, drive=drive) for one, drive in pairs]
     return matched(target, again, after=fit)
 
 

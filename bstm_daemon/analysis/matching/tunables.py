@@ -169,7 +169,7 @@ TUNABLES: Final[dict[str, Tunable]] = {
             *(0.003, 2.0, 0.5, "Ws/(m K)", True),
         ),
         # 0.6 to 0.8 about bodies in a wind (Hilpert 1933)
-        Tunable(WIND, 0.4, 1.2, 0.2, "-"),
+        Tunable(WIND, 0.4, 1.6, 0.2, "-"),
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in S_SPEEDS_MS),
         *(Tunable(key, 0.3, 3.0, 0.2, "factor") for key in BEYOND_MS),
         Tunable(LEVEL, 0.03, 30.0, 1.5, "factor"),
