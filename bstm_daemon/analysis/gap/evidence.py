@@ -64,8 +64,9 @@ class Candidate:
 
 STAND_IN: Final = 0.15
 NEARLY: Final = 0.1
-"""Who wants more than the strongest that is known, within a tenth, stands in
-for something alike: such a share of what it explains is not its own."""
+"""A candidate that needs more than the strongest that is known, or all but a
+tenth of it, may stand in for a similar one: that share of its gain is lost.
+"""
 
 DETECTED: Final = 3.5
 """Standard deviations that count as detected."""
@@ -101,9 +102,9 @@ def weigh(
 
 
 def held_back(candidate: Candidate, most: float) -> Candidate:
-    """Return *candidate* as it counts if it would be stronger than any.
+    """Return *candidate* with less evidence if it may be a stand-in.
 
-    Not where it has a largest strength *most* of its own: physics ends there.
+    One whose largest strength *most* is lower ends where physics does.
     """
     size = abs(candidate.strength)
     near = min(candidate.deviation, NEARLY * size)

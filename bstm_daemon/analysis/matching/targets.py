@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
-from bstm_daemon.analysis.matching.tunables import Target
+from bstm_daemon.analysis.matching.effect_values import effect_value
+from bstm_daemon.analysis.matching.tunables import EFFECT, FADE, Target
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.effects.catalogue import effects_of
 
@@ -63,13 +64,18 @@ def _linings(
     """Return the corners that have linings as *own*, one of *groups*, have.
 
     A corner without a thermocouple has those of its axle, else of the first
-    group.
+    group, if it is configured to fade like them.
     """
+    fade = FADE.removeprefix(f"{EFFECT}.")
     found = []
     for corner in config.disc_corners():
         holds = [one for one in groups if corner.name in one]
-        holds += [one for one in groups if one[0].startswith(corner.name[0])]
-        if own == [*holds, *groups][0]:
+        axle = [one for one in groups if one[0].startswith(corner.name[0])]
+        first = [*holds, *axle, *groups][0]
+        alike = holds or effect_value(
+            config, corner.name, fade
+        ) == effect_value(config, first[0], fade)
+        if own == first and alike:
             found.append(corner.name)
     return tuple(found)
 

@@ -7,7 +7,7 @@ import pytest
 
 from bstm_daemon.analysis.matching.targets import measured_targets, targets_of
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.config.sections import Config
+from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.files import shipped_file
 
@@ -52,3 +52,17 @@ def test_corners_without_thermocouples_have_linings_of_a_measured_one(
     assert linings("FL", "FR") == [every]
     assert linings("FR", "RL") == [("FL", "FR"), ("RL", "RR")]
     assert linings("FL", "FR", each=True) == [("FL", "RL", "RR"), ("FR",)]
+
+
+def test_linings_that_fade_otherwise_are_others(config: Config) -> None:
+    effects = [
+        EffectConfig(
+            name="friction_fade", corner=corner, parameters={"strength": fade}
+        )
+        for corner, fade in (("FL", 0.5), ("FR", 0.5), ("RL", 1.0))
+    ]
+    other = config.model_copy(update={"effect": effects})
+
+    (found,) = targets_of(other, ["FL"])
+
+    assert found.linings == ("FL", "FR")
