@@ -79,6 +79,7 @@ def rendered(page: Path) -> tuple[str, str]:
     return done.stdout, "\n".join(console)
 
 
+@pytest.mark.slow
 def test_coast_down(
     logs: dict[str, Path],
     tmp_path: Path,

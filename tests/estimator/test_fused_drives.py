@@ -275,6 +275,7 @@ def test_braking_by_an_assistant_is_found() -> None:
     assert found.error == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_recovery_is_no_brake_heat() -> None:
     recovered = estimate("regen")
 

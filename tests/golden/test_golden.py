@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from bstm_daemon.native.loader import Kernel
 
 LIMIT_BYTES = 3_000_000
-SHORT = ("restart",)
 STATUS = "5B0"
 
 
@@ -53,13 +52,8 @@ def test_is_as_stored(
     assert not moved, f"{told}\n\n{table(moved)}"
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name if name in SHORT else pytest.param(name, marks=pytest.mark.slow)
-        for name in RECORDINGS
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECORDINGS)
 def test_both_forms_agree_to_the_bit(
     name: str,
     compiled: Kernel,

@@ -37,6 +37,7 @@ def test_discs_two_thermocouples_agree_within_20_k(
     assert 1.0 < spread.max() < 20.0
 
 
+@pytest.mark.slow
 def test_measured_spread_is_of_that_size(nominal: SimulatedDrive) -> None:
     read = simulate(nominal.drive, sensors="n3").temperatures
     spread = read["temp_fl_disc"] - read["temp_fl_disc_2"]

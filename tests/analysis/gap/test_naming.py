@@ -145,6 +145,7 @@ def test_without_the_right_candidate_no_name_is_forced(
     assert "pad_front" in found.unknown_place
 
 
+@pytest.mark.slow
 def test_noise_of_another_form_takes_no_name(
     target: Target, made: Callable[..., Recording]
 ) -> None:

@@ -63,6 +63,7 @@ def with_friction(config: Config, friction: float) -> Config:
     return config.model_copy(update={"corner": corners})
 
 
+@pytest.mark.slow
 def test_friction_scale(
     identified: Callable[..., Brakes], example: Example
 ) -> None:

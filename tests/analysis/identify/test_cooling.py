@@ -119,6 +119,7 @@ def axle_of(example: Example, sample_of: Sampled) -> AxleOf:
     return axle
 
 
+@pytest.mark.slow
 def test_cooldown_through_its_can_frames(
     logged: Logged, driving: Reader, example: Example
 ) -> None:

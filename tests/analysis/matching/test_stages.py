@@ -78,6 +78,7 @@ def test_a_missing_thermocouple_drops_only_its_stages(
     assert "thermal.fluid_caliper_thermal_capacity_j_k" in values
 
 
+@pytest.mark.slow
 def test_stages_improve_what_they_fit(
     target: Target, made: Callable[..., Drive]
 ) -> None:

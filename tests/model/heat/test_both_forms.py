@@ -337,6 +337,7 @@ BRAKE_PRESSURES = {i for i, one in enumerate(ROLES) if "pressure" in one.name}
 EACH_FIFTH = set(range(3, len(ROLES), 5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "seed", "absent"),
     [

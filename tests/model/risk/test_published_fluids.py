@@ -124,6 +124,7 @@ def test_water_is_as_surveyed(published: Any) -> None:
     assert np.median(young) == pytest.approx(1.5, abs=0.2)
 
 
+@pytest.mark.slow
 def test_no_descent_is_left_out_for_being_hot(
     cases: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

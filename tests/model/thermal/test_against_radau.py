@@ -111,6 +111,7 @@ def solve(net: Network, count: int) -> list[np.ndarray]:
     return ends[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["rate", "conductance"])
 def test_default_step_within_two_millikelvin(
     kernel: Kernel | None,
