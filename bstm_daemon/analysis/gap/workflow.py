@@ -184,6 +184,7 @@ def _refuted(
     own = {one.name: one for one in seen}
 
     def speaks_against(one: Candidate) -> bool:
+        """Whether forces show less of *one*, or the other sign."""
         by = own.get(one.name)
         if by is None:
             return False

@@ -33,8 +33,8 @@ from bstm_daemon.analysis.matching.problem import Problem, whole_drives
 from bstm_daemon.analysis.matching.tunables import (
     BEYOND_MS,
     DRAG,
-    EFFECT,
     FADE,
+    FADE_STRENGTH,
     FAST,
     LEVEL,
     MASS,
@@ -215,7 +215,7 @@ def driven_keys(
             "law"
         )
     by = {one.key for drive in drives for one in drive.power_by.values()}
-    if DRAG in by or (by and FAST in found and not discs_only):
+    if DRAG in by or not discs_only:
         more += by
     return (*found, *more), why
 
@@ -290,12 +290,11 @@ def read_with_fade(
         read: reads the drives as another configuration heats them.
     """
     drives = list(reading.drives)
-    effect = FADE.removeprefix(f"{EFFECT}.")
     for corners in linings:
-        strength = effect_value(config, corners[0], effect)
+        strength = effect_value(config, corners[0], FADE_STRENGTH)
         if not strength:
             continue
-        cold = read(with_effect_values(config, corners, {effect: 0.0}))
+        cold = read(with_effect_values(config, corners, {FADE_STRENGTH: 0.0}))
         for i, (drive, other) in enumerate(zip(drives, cold, strict=True)):
             by = _power_by(FADE, {0.0: other, strength: drive})
             own = {corner: by[corner] for corner in corners}

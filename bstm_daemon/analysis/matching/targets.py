@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeVar
 
 from bstm_daemon.analysis.matching.effect_values import effect_value
-from bstm_daemon.analysis.matching.tunables import EFFECT, FADE, Target
+from bstm_daemon.analysis.matching.tunables import FADE_STRENGTH, Target
 from bstm_daemon.errors import LogError
 from bstm_daemon.model.effects.catalogue import effects_of
 
@@ -66,16 +66,16 @@ def _linings(
     A corner without a thermocouple has those of its axle, else of the first
     group, if it is configured to fade like them.
     """
-    fade = FADE.removeprefix(f"{EFFECT}.")
+
+    def fade(corner: str) -> float:
+        return effect_value(config, corner, FADE_STRENGTH)
+
     found = []
     for corner in config.disc_corners():
         holds = [one for one in groups if corner.name in one]
         axle = [one for one in groups if one[0].startswith(corner.name[0])]
         first = [*holds, *axle, *groups][0]
-        alike = holds or effect_value(
-            config, corner.name, fade
-        ) == effect_value(config, first[0], fade)
-        if own == first and alike:
+        if own == first and (holds or fade(corner.name) == fade(first[0])):
             found.append(corner.name)
     return tuple(found)
 

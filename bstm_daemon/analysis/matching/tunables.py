@@ -103,9 +103,10 @@ is made, up to evenly, and the contact conducts the rest back (Barber, The
 conduction of heat from sliding solids, 1970)."""
 
 
-FADE: Final = f"{EFFECT}.friction_fade.strength"
-"""Of the tunables the one effect that acts on the heat: where an axle fades
-and the other does not, the share of each follows it."""
+FADE_STRENGTH: Final = "friction_fade.strength"
+FADE: Final = f"{EFFECT}.{FADE_STRENGTH}"
+"""The only tunable effect that acts on the heat: an axle whose linings fade
+leaves a larger share of it to the other one."""
 
 
 def strength_key(effect: str) -> str:
@@ -354,14 +355,12 @@ class Target:
         }
         if not of_effects:
             return target
-        fade = FADE.removeprefix(prefix)
-        of_linings = {
-            key: of_effects.pop(key) for key in (fade,) if key in of_effects
-        }
-        config = with_effect_values(target.config, self.corners, of_effects)
-        config = with_effect_values(
-            config, self.linings or self.corners, of_linings
-        )
+        config = target.config
+        if FADE_STRENGTH in of_effects:
+            fade = {FADE_STRENGTH: of_effects.pop(FADE_STRENGTH)}
+            linings = self.linings or self.corners
+            config = with_effect_values(config, linings, fade)
+        config = with_effect_values(config, self.corners, of_effects)
         return replace(target, config=config)
 
     def _each(self, change: Callable[[CornerConfig], CornerConfig]) -> Target:

@@ -425,9 +425,9 @@ def _built(
 def _speed_power(
     exponent: float, about_ms: float = 1.0, *, always: bool = False
 ) -> Factor:
-    """Return a power of the speed that is the speed itself at *about_ms*.
+    """Return a power of the speed that equals the speed at *about_ms*.
 
-    Without a table where that is no power, but *always*.
+    Exponent 1 is the speed itself; with *always* that is a table too.
     """
     if exponent == 1.0 and not always:
         return value("speed_ms")

@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.matching.changes import value_changes
+from bstm_daemon.analysis.matching.changes import (
+    changes_of,
+    learned,
+    value_changes,
+)
 from bstm_daemon.analysis.matching.coarse import (
     Reading,
     driven_keys,
@@ -16,6 +20,7 @@ from bstm_daemon.analysis.matching.coarse import (
 )
 from bstm_daemon.analysis.matching.curves import curves_of
 from bstm_daemon.analysis.matching.effect_values import effect_value
+from bstm_daemon.analysis.matching.learned import known_keys
 from bstm_daemon.analysis.matching.matcher import match_drives
 from bstm_daemon.analysis.matching.power_by import PowerBy
 from bstm_daemon.analysis.matching.targets import targets_of
@@ -121,15 +126,22 @@ def test_temperatures_show_how_much_linings_fade(
     assert match.settings()[FADE] == found[FADE]
     assert match.joint.rms_k["disc"] < 1.0 < without.joint.rms_k["disc"]
     assert FADE not in without.joint.values
+    written = changes_of([match], fading, "matched")
+    assert [
+        one.corner for one in written if one.effect == "friction_fade"
+    ] == ["all"]
+    known = match.after.config.model_copy(update={"matched": [learned(match)]})
+    assert FADE in known.matched[0].names
+    assert FADE not in known_keys(replace(match.after, config=known))
     (curve, *_) = curves_of(match, reading.drives[0], "FL")
     assert rms(curve.after_c - curve.measured_c) < 1.0
     assert rms(curve.before_c - curve.measured_c) > 3.0
 
 
-def test_what_another_rim_changes_leaves_linings(
+def test_discs_alone_do_not_show_the_fade(
     fading: Config, made: Callable[..., Drive]
 ) -> None:
-    """Nor do discs alone say it beside what cools them."""
+    """What cools them does the same to the hot ones."""
     (target,) = targets_of(fading, ["FL"])
     by = PowerBy(FADE, np.array([0.0, 1.0]), np.ones((2, 1)))
     drive = replace(made(), power_by={"FL": by})
@@ -138,11 +150,26 @@ def test_what_another_rim_changes_leaves_linings(
     keys, _ = driven_keys(target, [drive], refined_keys(target))
     assert keys[-1] == FADE
     assert FADE not in refined_keys(target)
-    for drives, wanted in (
-        ([drive], ["thermal.fluid_static_convection_w_k"]),
-        ([replace(drive, measured=disc)], refined_keys(target)),
-    ):
-        assert FADE not in driven_keys(target, drives, wanted)[0]
+    alone = replace(drive, measured=disc)
+    assert FADE not in driven_keys(target, [alone], refined_keys(target))[0]
+
+
+def test_a_fade_is_that_of_all_linings_that_share_it(fading: Config) -> None:
+    """All other values are those of the measured corners."""
+    (target,) = targets_of(fading, ["FL"])
+    target = replace(target, linings=("FL", "FR"))
+
+    changed = target.changed({FADE: 0.4, MASS: 1.1}).config
+
+    fades = [effect_value(changed, one.name, NAME) for one in changed.corner]
+    assert fades == [0.4, 0.4, 1.0, 1.0]
+    key = MASS.removeprefix("thermal.")
+    masses = [one.thermal.get(key) for one in changed.corner]
+    assert masses[0] == 1.1
+    assert masses[1:] == [one.thermal.get(key) for one in fading.corner][1:]
+    alone = replace(target, linings=()).changed({FADE: 0.4}).config
+    fades = [effect_value(alone, one.name, NAME) for one in alone.corner]
+    assert fades == [0.4, 1.0, 1.0, 1.0]
 
 
 def test_the_fade_is_written_for_all_linings_that_share_it(

@@ -128,14 +128,20 @@ def test_the_other_form_is_named_where_it_leaves_much_less(
     assert matcher._other_form(target, [], joint) == ""
 
 
-@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize(
+    ("again", "only"), [(False, ""), (True, ""), (True, "cooling")]
+)
 def test_logs_are_read_anew_where_friction_follows_temperature(
     again: bool,  # noqa: FBT001
+    only: str,
     target: Target,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """And around the drag area that was found; Table 4.1 comes last."""
+    """And around the drag area that was found; Table 4.1 comes last.
+
+    Also without fade, but for what another rim changes.
+    """
     config, signal_map, overrides = target.config, object(), {"can0": "main"}
     reads: list[tuple[Any, ...]] = []
     fits: list[dict[str, Any]] = []
@@ -171,6 +177,7 @@ def test_logs_are_read_anew_where_friction_follows_temperature(
         frozenset({DRAG}),
         overrides=overrides,
         each=True,
+        only=only,
     )
 
     assert found.why_not == ["no stop"]
@@ -178,10 +185,11 @@ def test_logs_are_read_anew_where_friction_follows_temperature(
     assert [one["beside"] for one in fits] == [not again, True, True][
         : len(near)
     ]
-    assert [one["readings"] for one in fits] == [[[1]], [[2]], [[3, 4]]][
+    last = [3] if only else [3, 4]
+    assert [one["readings"] for one in fits] == [[[1]], [[2]], [last]][
         : len(near)
     ]
-    assert all(one["each"] and one["only"] == "" for one in fits)
+    assert all(one["each"] and one["only"] == only for one in fits)
     for logs, of, *rest in reads:
         assert (logs, rest) == ([tmp_path], [signal_map, overrides, None])
         assert of.vehicle.drag_area_m2 in {0.9, config.vehicle.drag_area_m2}
