@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 
 from bstm_daemon.analysis.gap import workflow
 from bstm_daemon.analysis.gap.advising import MENU
+from bstm_daemon.analysis.gap.changes import change_names
 from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
 from bstm_daemon.analysis.gap.recording import Recording, read_recording
 from bstm_daemon.analysis.identify.writing import Entries, write_changed
@@ -79,6 +80,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "effects that advise should separate; also without logs, before any "
         "drive",
         choices=effect_names(),
+    )
+    option(
+        parser,
+        "--without NAME...",
+        "what it is known not to be: effects, and changes as the JSON result "
+        "names them",
+        choices=[*effect_names(), *change_names()],
     )
 
 
@@ -198,7 +206,9 @@ def _by_forces(
         check_mass(command.args.config)
     with Progress("gap") as progress:
         progress.show(0.1)
-        gap = find_force_gap(command.config, recordings, held_out)
+        gap = find_force_gap(
+            *(command.config, recordings, held_out, command.args.without)
+        )
     return Found(
         ", ".join(one.name for one in recordings),
         [force_text(gap)],
@@ -232,7 +242,9 @@ def _before_any_drive(command: LogCommand) -> Found:
 def _question(args: argparse.Namespace) -> workflow.Question:
     """Return what is asked, each drive and effect once."""
     return workflow.Question(
-        tuple(dict.fromkeys(args.menu)), tuple(dict.fromkeys(args.among))
+        tuple(dict.fromkeys(args.menu)),
+        tuple(dict.fromkeys(args.among)),
+        frozenset(args.without),
     )
 
 

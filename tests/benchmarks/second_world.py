@@ -1,13 +1,14 @@
 """The whole workflow in a car simulator that shares nothing with this project.
 
 ``second_world.py FOLDER [--release] [--first SEED] [--cars N] [--effects N]
-[--controls N] [--out FILE.md]``. ``BSTM_SECOND_WORLD`` names the simulator:
-the folder of ``make_case.py``, which writes drives with and without a hidden
-effect, and of ``sheet_to_config.py``, which writes a configuration from the
-car's sheet; ``BSTM_SECOND_WORLD_PYTHON`` is the interpreter that has what
-they need. Each car is matched once with ``bstm match`` on drives without the
-effect; then ``bstm gap run`` answers on drives with it. FOLDER keeps what was
-made: a second run does what is missing.
+[--controls N] [--unlisted] [--out FILE.md]``. ``BSTM_SECOND_WORLD`` names the
+simulator: the folder of ``make_case.py``, which writes drives with and without
+a hidden effect, and of ``sheet_to_config.py``, which writes a configuration
+from the car's sheet; ``BSTM_SECOND_WORLD_PYTHON`` is the interpreter that has
+what they need. Each car is matched once with ``bstm match`` on drives without
+the effect; then ``bstm gap run`` answers on drives with it. FOLDER keeps what
+was made: a second run does what is missing. ``--unlisted`` asks what is hidden
+with all its right names taken out of the catalogue, and no controls.
 
 Seeds below 500 are for development. ``--release`` takes those that a hash of
 the released version draws from 500 to 999: for figures that are reported, and
@@ -25,7 +26,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -107,6 +108,7 @@ class Case:
     seed: int
     effect: str
     drives: tuple[str, ...]
+    unlisted: bool = False
 
     @property
     def name(self) -> str:
@@ -174,13 +176,17 @@ class World:
         """Return what ``bstm gap run`` says of *case*."""
         matched, folder = self.matched(case.seed), self.made(case)
         answer = folder / "answer.json"
+        without: list[str] = []
+        if case.unlisted:
+            answer = folder / "answer_unlisted.json"
+            without = ["--without", *sorted(RIGHT[case.effect])]
         if not answer.exists():
             logs = sorted(map(str, folder.glob("test*.log")))
             held = sorted(map(str, folder.glob("heldout*.log")))
             bstm(
                 *("gap", "run", *logs, "--holdout", *held),
-                *("-c", str(matched), "-o", str(folder / "adopted.toml")),
-                *("--force", "--json", str(answer)),
+                *("-c", str(matched), "--force", "--json", str(answer)),
+                *("-o", str(answer.with_suffix(".toml")), *without),
             )
         found: dict[str, Any]
         found, *_ = json.loads(answer.read_text("utf-8"))["corners"]
@@ -241,6 +247,18 @@ def verdict(effect: str, naming: dict[str, Any]) -> str:
     return "right" if named and names <= right else "right among"
 
 
+def verdict_unlisted(naming: dict[str, Any]) -> str:
+    """Return what *naming* is worth where no candidate describes the effect.
+
+    ``right`` without a name; ``missing`` where it does not decide.
+    """
+    answer = naming["answer"]
+    if answer in NAMED:
+        return "wrong"
+    told = {"nothing": "silent", "unknown": "right", "composed": "right"}
+    return told.get(answer, "missing")
+
+
 def figures(rows: Sequence[Sequence[str]]) -> str:
     """Return how often each verdict was given, in words."""
     controls = [row[4] for row in rows if row[2] == "-"]
@@ -276,14 +294,15 @@ def row(world: World, case: Case) -> list[str]:
     found = world.answered(case)
     naming, shown = found["naming"], found.get("shown") or {}
     hidden = case.effect != "none"
-    written = (world.made(case) / "adopted.toml").exists()
-    shrink = shown.get("shrink", {}) if written else {}
+    shrink = shown.get("shrink", {}) if found.get("strengths") else {}
     return [
         str(case.seed),
         case.effect if hidden else f"none ({', '.join(case.drives)})",
         ("yes" if world.detectable(case) else "no") if hidden else "-",
         ", ".join(naming["names"]) or naming["answer"],
-        verdict(case.effect, naming),
+        verdict_unlisted(naming)
+        if case.unlisted
+        else verdict(case.effect, naming),
         *(
             f"{shrink[of][0]:.1f}" if of in shrink else "-"
             for of in ("as configured", "heat and cooling re-fitted")
@@ -300,6 +319,7 @@ def main() -> None:
     parser.add_argument("--cars", type=int, default=10)
     parser.add_argument("--effects", type=int, default=6)
     parser.add_argument("--controls", type=int, default=6)
+    parser.add_argument("--unlisted", action="store_true")
     parser.add_argument("--out", type=Path, metavar="FILE.md")
     args = parser.parse_args()
     world = World(args.folder.resolve())
@@ -311,7 +331,9 @@ def main() -> None:
     )
     rows = []
     for seed in seeds:
-        for case in cases(seed, args.effects, args.controls):
+        controls = 0 if args.unlisted else args.controls
+        for case in cases(seed, args.effects, controls):
+            case = replace(case, unlisted=args.unlisted)  # noqa: PLW2901
             rows.append(row(world, case))
             print(*rows[-1], sep="  ", flush=True)  # noqa: T201
     table = {"header": HEADER, "rows": rows}

@@ -85,6 +85,11 @@ class Trial:
         return found
 
 
+def change_names() -> list[str]:
+    """Return the names of all changes."""
+    return [PREFIX + kind for kind in KINDS]
+
+
 def is_change(name: str) -> bool:
     """Whether the candidate *name* is a change, not an effect."""
     return name.startswith(PREFIX)

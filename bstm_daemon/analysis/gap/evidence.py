@@ -101,14 +101,19 @@ def weigh(
     )
 
 
-def held_back(candidate: Candidate, most: float) -> Candidate:
-    """Return *candidate* with less evidence if it may be a stand-in.
+def may_stand_in(candidate: Candidate, most: float) -> bool:
+    """Whether *candidate* is so strong that it may be something similar.
 
     One whose largest strength *most* is lower ends where physics does.
     """
     size = abs(candidate.strength)
     near = min(candidate.deviation, NEARLY * size)
-    if most < STRONGEST or size + near < STRONGEST:
+    return most >= STRONGEST and size + near >= STRONGEST
+
+
+def held_back(candidate: Candidate, most: float) -> Candidate:
+    """Return *candidate* with less evidence if it may be a stand-in."""
+    if not may_stand_in(candidate, most):
         return candidate
     evidence = candidate.log_evidence - STAND_IN * candidate.gain
     return replace(candidate, log_evidence=evidence)

@@ -8,7 +8,7 @@ integrated out as tunables are, and the rest is the naming of
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -116,14 +116,23 @@ def find_force_gap(
     config: Config,
     recordings: Sequence[Recording],
     held_out: Sequence[Recording] = (),
+    without: Collection[str] = (),
 ) -> ForceGap:
     """Search *recordings* for effects on the heat input, by forces alone.
+
+    Args:
+        config: the vehicle.
+        recordings: drives, with or without thermocouples.
+        held_out: drives to show before and after on.
+        without: candidates that it is known not to be.
 
     Raises:
         LogError: the motion shows no force.
     """
     comparison = ForceComparison(config, recordings)
     known, unseen = linearised(comparison)
+    asked = tuple(one for one in known.signatures if one.name not in without)
+    known = replace(known, signatures=asked)
     naming = name_effect(comparison.layout, known)
     if naming.answer == "nothing":
         naming = replace(naming, reason=NOTHING_SEEN)

@@ -18,7 +18,7 @@ from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import Fit, fit, scale_basis
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import Recording
-from bstm_daemon.analysis.matching.structure import has_grown
+from bstm_daemon.analysis.matching.structure import GROWN, has_grown
 from bstm_daemon.analysis.statistics.resampling import bootstrap
 from bstm_daemon.analysis.statistics.series import Column, rms, white_noise
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
@@ -92,12 +92,16 @@ class Shown:
         """Return what contradicts what is written most, if anything does.
 
         Where it is held out and errs clearly more than with heat and cooling
-        re-fitted: by more than the drift that *noise* has by node, too.
+        re-fitted: by more than the drift that *noise* has by node, too. Not
+        where over all nodes it errs clearly less: heat and cooling may serve
+        one node and leave the others.
         """
+        gained = self.shrinks[SCALED].lower >= GROWN
         found = [
             one
             for one in self.errors
             if self.held_out
+            and not gained
             and has_grown(
                 one.rms_k[SCALED], one.rms_k[EXTENDED], noise[one.node].drift_k
             )

@@ -22,6 +22,7 @@ from bstm_daemon.analysis.gap.evidence import (
     explained_share,
     held_back,
     likeliest,
+    may_stand_in,
     missing_evidence,
     missing_probability,
     probabilities,
@@ -274,6 +275,11 @@ def _named(
         )
         return unknown(
             f"{how} {100 * explained:.0f} % of what all together could"
+        )
+    if alone and may_stand_in(best, own.most):
+        return unknown(
+            f"the best, {best.name}, would be {abs(best.strength):.1f} times "
+            "its typical size: rather something similar"
         )
     if placebo > best.z:
         reason = f"{best.name} at other times than its own explains as much"

@@ -1,6 +1,6 @@
 """``bstm gap run``: locate, gate, name, fit, show, corner by corner."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -54,10 +54,14 @@ from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What to tell apart, and by which drives; empty: what is left."""
+    """What to tell apart, and by which drives; empty: what is left.
+
+    ``without`` are candidates that it is known not to be.
+    """
 
     menu: tuple[str, ...] = MENU
     among: tuple[str, ...] = ()
+    without: frozenset[str] = frozenset()
 
 
 ANY = Question()
@@ -130,7 +134,8 @@ def find_gap(
         LogError: no corner with a thermocouple.
     """
     targets = measured_targets(config, [one.drive for one in recordings])
-    by_forces = cache(lambda: _force_gap(config, recordings))
+    without = question.without
+    by_forces = cache(lambda: _force_gap(config, recordings, without))
     return over_targets(
         targets,
         lambda target, report_share: _gap(
@@ -147,7 +152,7 @@ def find_gap(
 
 
 def _force_gap(
-    config: Config, recordings: Sequence[Recording]
+    config: Config, recordings: Sequence[Recording], without: Collection[str]
 ) -> ForceGap | None:
     """Return what forces show that is new since the match.
 
@@ -156,7 +161,7 @@ def _force_gap(
     if not any(one.forces for one in config.matched):
         return None
     try:
-        return find_force_gap(config, recordings)
+        return find_force_gap(config, recordings, without=without)
     except LogError:
         return None
 
@@ -236,7 +241,7 @@ def _gap(  # noqa: PLR0913
         comparison,
         askable(target, candidates(target.config)),
         lambda share: report_share(0.1 + 0.6 * share),
-    )
+    ).without(question.without)
     basis = directions(comparison)
     known, naming = search(comparison, simulated, basis)
     if refuted := _refuted(naming, comparison, by_forces):

@@ -248,6 +248,14 @@ def test_braking_without_pressure_is_named() -> None:
     assert found.motion_j > 5.0 * found.pressed_j
     assert found.after_ms2 < 0.2 * found.before_ms2
 
+    others = find_force_gap(
+        *(car()[0], [driven("assist", {})]), without={"brake_without_pressure"}
+    )
+    left = {one.name for one in found.naming.candidates}
+    assert {one.name for one in others.naming.candidates} == left - {
+        "brake_without_pressure"
+    }
+
 
 def test_what_forces_can_not_tell_is_said() -> None:
     found = find_force_gap(car()[0], [driven("idiada-step", {})])

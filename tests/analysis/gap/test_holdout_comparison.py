@@ -14,6 +14,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     EXTENDED,
     SCALED,
     Shown,
+    Shrink,
     _errors,
     _shrink,
 )
@@ -29,17 +30,24 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.parametrize(
-    ("before_k", "after_k", "drift_k", "against"),
+    ("before_k", "after_k", "drift_k", "gained", "against"),
     [
-        (3.0, 5.1, 1.0, True),
+        (3.0, 5.1, 1.0, 1.24, True),
         # by less than 2 K, than a quarter, than what the match left there
-        (3.0, 4.9, 1.0, False),
-        (10.0, 12.4, 1.0, False),
-        (3.0, 5.1, 2.2, False),
+        (3.0, 4.9, 1.0, 1.24, False),
+        (10.0, 12.4, 1.0, 1.24, False),
+        (3.0, 5.1, 2.2, 1.24, False),
+        # where all nodes together are a quarter better for certain
+        (3.0, 5.1, 1.0, 1.26, False),
     ],
 )
 def test_what_contradicts_is_beyond_all_three(
-    before_k: float, after_k: float, drift_k: float, *, against: bool
+    before_k: float,
+    after_k: float,
+    drift_k: float,
+    gained: float,
+    *,
+    against: bool,
 ) -> None:
     errors: Any = tuple(
         SimpleNamespace(node=node, rms_k={SCALED: 3.0, EXTENDED: rms_k})
@@ -51,7 +59,8 @@ def test_what_contradicts_is_beyond_all_three(
     )
 
     for held_out in (True, False):
-        shown = Shown(held_out, {}, {}, errors, {}, {}, ())
+        shrinks = {SCALED: Shrink(2.0, gained, 3.0)}
+        shown = Shown(held_out, shrinks, {}, errors, {}, {}, ())
 
         found = shown.against(noise)
 

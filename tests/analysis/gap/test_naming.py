@@ -350,6 +350,27 @@ def test_a_name_must_explain_most_of_what_all_together_could(
         )
 
 
+@pytest.mark.parametrize(("strength", "answered"), [
+    (3.5, "name"), (3.7, "unknown"), (4.4, "unknown"),
+])  # fmt: skip
+def test_what_would_be_stronger_than_any_is_rather_something_similar(
+    strength: float, answered: str
+) -> None:
+    """One that alone explains everything, a tenth beyond 4 at the most."""
+    own = spike(3, 2.0)
+
+    found = answer(-strength * own, {"caliper_bypass": own})
+
+    size = found.candidates[0].strength
+    assert size == pytest.approx(min(strength, 4.0), abs=0.15)
+    assert found.answer == answered
+    if answered == "unknown":
+        assert found.reason == (
+            f"the best, caliper_bypass, would be {size:.1f} times its typical "
+            "size: rather something similar"
+        )
+
+
 class TwoDrives(Grid):
     """The points of two drives, 100 of each."""
 

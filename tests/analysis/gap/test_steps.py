@@ -27,7 +27,7 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from bstm_daemon.analysis.gap.recording import Recording
     from bstm_daemon.config.sections import Config
@@ -54,6 +54,10 @@ def steps(
 
             return work
 
+        def without(names: Collection[str]) -> Any:
+            done.extend(f"not {one}" for one in names)
+            return SimpleNamespace(jacobian_k=None, without=without)
+
         known = Linearised(
             *(np.zeros(3), np.zeros((3, 5)), (), ("shim_contact",), ())
         )
@@ -63,10 +67,7 @@ def steps(
             ("locate", "a map"),
             (
                 "sensed",
-                SimpleNamespace(
-                    jacobian_k=None,
-                    without=lambda names: done.append(f"not {names[0]}"),
-                ),
+                SimpleNamespace(jacobian_k=None, without=without),
             ),
             ("search", (known, found)),
             ("fit", extended),
@@ -143,6 +144,29 @@ def test_nothing_is_fitted_where_nothing_is_named(
     assert gap.fit is None
 
 
+def test_what_it_is_known_not_to_be_is_left_out(
+    steps: Callable[..., tuple[Any, list[str]]],
+    config: Config,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of what temperatures show, and of what forces do."""
+    asked = []
+
+    def forces(*_: Any, without: Collection[str]) -> Any:
+        asked.append(without)
+        return SimpleNamespace(naming=NAMED.answered("nothing", (), 0.6, ""))
+
+    monkeypatch.setattr(workflow, "find_force_gap", forces)
+    known = SimpleNamespace(corners=(), forces={"friction_fade": 0.1})
+    monkeypatch.setitem(vars(config), "matched", [known])
+    question = Question(without=frozenset({"pad_wear"}))
+
+    _, done = steps(NAMED.answered("nothing", (), 0.6, ""), "name", question)
+
+    assert done == ["locate", "sensed", "not pad_wear", "search"]
+    assert asked == [{"pad_wear"}]
+
+
 @pytest.mark.parametrize("answer", ["name", "nothing", "unknown", None])
 @pytest.mark.parametrize("shown", ["nothing", "unknown", "composed"])
 def test_forces_are_asked_where_temperatures_name_nothing(
@@ -155,8 +179,8 @@ def test_forces_are_asked_where_temperatures_name_nothing(
     """A clear name alone counts, of a car whose forces are known."""
     done = []
 
-    def forces(*of: Any) -> Any:
-        done.append(of)
+    def forces(*of: Any, without: Collection[str]) -> Any:
+        done.append((of, *without))
         if answer is None:
             msg = "no force"
             raise LogError(msg)
