@@ -62,7 +62,10 @@ RIGHT: Final[dict[str, set[str]]] = {
         "change.lining_conductivity",
     },
     "disc_worn": {"disc_wear", "change.disc_mass"},
-    "closed_rim": {"change.wheel_air", "change.disc_air"},
+    "closed_rim": {
+        *("change.wheel_air", "change.disc_air", "change.cooling.s_per_s"),
+        *("change.effect.local_air.strength", "local_air"),
+    },
     "dragging_caliper": {"residual_drag"},
     "extra_mass": {"mass_error"},
     "accel_offset": {"accelerometer_bias"},

@@ -263,8 +263,16 @@ def car_samples(steps: int) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("hold", [1, 2, 20])
+@pytest.mark.parametrize(
+    ("hold", "fmi"),
+    [
+        *((1, 2), (2, 3)),
+        *(
+            pytest.param(*one, marks=pytest.mark.full)
+            for one in ((1, 3), (2, 2), (20, 2), (20, 3))
+        ),
+    ],
+)
 def test_temperatures_of_the_car_equal_those_of_the_estimator(
     opened: Any, vehicle: Any, fmi: int, hold: int
 ) -> None:

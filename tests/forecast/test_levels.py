@@ -76,7 +76,9 @@ each_drive = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.parametrize("start", ["cold", "unknown"])
+@pytest.mark.parametrize(
+    "start", [pytest.param("cold", marks=pytest.mark.full), "unknown"]
+)
 @each_drive
 def test_nothing_that_is_decided_depends_on_which_members_are_marched(
     log: Path, start: str, monkeypatch: pytest.MonkeyPatch

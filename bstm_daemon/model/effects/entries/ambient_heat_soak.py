@@ -37,6 +37,7 @@ class AmbientHeatSoak(Effect):
         Parameter("excess_k", "K", 0.5, 30.0, 8.0, "reads too high, finally"),
         Parameter("time_s", "s", 60.0, 3600.0, 400.0, "to 63 % of it"),
     )
+    forms = ({"time_s": 1500.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add a memory and, beside each loss, what is lost besides."""

@@ -29,6 +29,7 @@ class BracketConduction(Effect):
         Parameter("loss_w_k", "W/K", 0.0, 20.0, 1.0, "bracket, at rest"),
         Parameter("loss_rise_s_m", "s/m", 0.0, 2.0, 0.08, "of it, per m/s"),
     )
+    forms = ({"pressed_rise": 0.0, "loss_w_k": 0.3},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the node ``bracket`` and its links."""

@@ -37,6 +37,7 @@ class CaliperFluidSplit(Effect):
         Parameter("finger_w_k", "W/K", 0.5, 500.0, 8.0, "finger to the body"),
         Parameter("coupling_w_k", "W/K", 2.0, 500.0, 40.0, "fluid to caliper"),
     )
+    forms = ({"coupling_w_k": 12.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Split ``fluid`` and let every loss start at ``caliper``."""

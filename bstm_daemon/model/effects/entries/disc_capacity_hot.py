@@ -37,6 +37,7 @@ class DiscCapacityHot(Effect):
         Parameter("centre_c", "degC", 650.0, 800.0, 755.0, "of the peak"),
         Parameter("half_width_k", "K", 20.0, 250.0, 150.0, "to its foot"),
     )
+    forms = ({"half_width_k": 60.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Raise cp(T) of the disc, and with it its share of the heat."""

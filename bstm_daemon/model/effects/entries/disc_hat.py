@@ -26,6 +26,7 @@ class DiscHat(Effect):
         Parameter("mass_kg", "kg", 0.5, 8.0, 2.4, "of the hat"),
         Parameter("area_m2", "m2", 5e-3, 0.2, 0.06, "that air cools"),
     )
+    forms = ({"mass_kg": 0.8},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the node ``hat`` and its links."""

@@ -27,6 +27,7 @@ class FluidExchange(Effect):
             "pumping_w_k", "W/K", 0.0, 5.0, 0.4, "for each MPa/s of pressure"
         ),
     )
+    forms = ({"pumping_w_k": 0.0}, {"line_w_k": 0.0})
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add a memory of the pressure and the links fluid to ambient."""

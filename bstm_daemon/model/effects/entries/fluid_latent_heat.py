@@ -30,6 +30,7 @@ class FluidLatentHeat(Effect):
         ),
         Parameter("half_width_k", "K", 2.0, 40.0, 12.0, "to its ends"),
     )
+    forms = ({"half_width_k": 40.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Raise the fluid's capacity around the boiling point."""

@@ -27,6 +27,7 @@ class FrictionFade(Effect):
         Parameter("onset_c", "degC", 100.0, 600.0, 350.0, "mu begins to fall"),
         Parameter("span_k", "K", 20.0, 500.0, 180.0, "until it has fallen"),
     )
+    forms = ({"onset_c": 150.0, "span_k": 400.0},)
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a ramp over the temperature of the interface."""

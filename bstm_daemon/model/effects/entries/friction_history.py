@@ -33,6 +33,7 @@ class FrictionHistory(Effect):
             "bedding_energy_j", "J", 1e5, 1e8, 5e6, "heat for 63 % of the fall"
         ),
     )
+    forms = ({"bedding_energy_j": 5e7},)
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Scale the friction heat by a memory of its own integral."""

@@ -23,6 +23,7 @@ class HubConduction(Effect):
         Parameter("capacity_j_k", "J/K", 500.0, 1e4, 2600.0, "of the hub"),
         Parameter("loss_w_k", "W/K", 0.0, 20.0, 1.8, "hub to the knuckle"),
     )
+    forms = ({"loss_w_k": 0.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the node ``hub`` and its links."""

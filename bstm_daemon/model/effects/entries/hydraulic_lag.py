@@ -22,6 +22,7 @@ class HydraulicLag(Effect):
         Parameter("primary_s", "s", 0.0, 2.0, 0.15, "of the first circuit"),
         Parameter("secondary_s", "s", 0.0, 2.0, 0.3, "of the second circuit"),
     )
+    forms = ({"primary_s": 0.0},)
 
     def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Raise the lags of ``[heat]``."""

@@ -38,6 +38,7 @@ class LocalAir(Effect):
         Parameter("opening_m2", "m2", 1e-3, 0.2, 0.02, "admits the wind"),
         Parameter("parked_w_k", "W/K", 1.0, 100.0, 13.0, "removed at rest"),
     )
+    forms = ({"parked_w_k": 40.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Let every convective loss end in a node of air."""

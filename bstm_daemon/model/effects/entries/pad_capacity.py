@@ -32,6 +32,7 @@ class PadCapacity(Effect):
         Parameter("rise_per_k", "1/K", 0.0, 3e-3, 9e-4, "of cp, cold = 1"),
         Parameter("until_c", "degC", 100.0, 800.0, 400.0, "rises up to here"),
     )
+    forms = ({"until_c": 200.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Multiply cp of every slab by a ramp."""

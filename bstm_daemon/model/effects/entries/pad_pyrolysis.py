@@ -26,6 +26,7 @@ class PadPyrolysis(Effect):
         Parameter("onset_c", "degC", 250.0, 500.0, 370.0, "half rate"),
         Parameter("rate_per_s", "1/s", 1e-4, 0.1, 5e-3, "rate when hot"),
     )
+    forms = ({"onset_c": 300.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add a memory of the decomposed share and a sink in pad_front."""

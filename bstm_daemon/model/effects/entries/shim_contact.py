@@ -22,6 +22,7 @@ class ShimContact(Effect):
             "full_pressure_pa", "Pa", 1e4, 5e6, 3e5, "fully pressed from here"
         ),
     )
+    forms = ({"full_pressure_pa": 3e6},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Multiply the shim's conductance by a table over pressure."""

@@ -25,6 +25,7 @@ class WetDisc(Effect):
         ),
         Parameter("cold_fraction", "1", 0.0, 1.0, 0.25, "below 80 degC"),
     )
+    forms = ({"cold_fraction": 0.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to ambient."""
