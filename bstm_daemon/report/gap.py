@@ -23,6 +23,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
     Shrink,
 )
+from bstm_daemon.analysis.gap.unnamed_friction import FRICTION
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.effects.composed import is_composed, read
@@ -115,10 +116,7 @@ def headline(gap: Gap) -> str:
     """Return the answer in one line."""
     if gap.naming is None:
         return "where model and thermocouples disagree"
-    text = answer_line(gap.naming, "this data")
-    if gap.naming.answer == "unknown":
-        text += f", heat at {gap.naming.unknown_place}"
-    return text
+    return answer_line(gap.naming, "this data")
 
 
 def sentence(gap: Gap) -> str:
@@ -187,7 +185,6 @@ def answer_line(naming: Naming, what: str) -> str:
     names = comma.join(called(naming, name) for name in naming.names)
     share = percent(naming.probability)
     which = "missing" if any_effect(naming) else "changed"
-    but = f", but {naming.against} contradicts that" if naming.against else ""
     return {
         "nothing": f"no missing effect visible (nothing missing: {share})",
         "name": f"{which}: {names} (probability {share})",
@@ -195,10 +192,19 @@ def answer_line(naming: Naming, what: str) -> str:
         "composed": (
             f"missing: none of the known effects; best description: {names}"
         ),
-        "unknown": "missing: none of the known effects",
-        "undecided": f"something is missing, but not named; possible: {names}"
-        f"{but}",
+        "unknown": f"missing: none of the known effects{_place(naming)}",
+        "undecided": (
+            f"something is missing, but not named; possible: {names}"
+        ),
     }[naming.answer]
+
+
+def _place(naming: Naming) -> str:
+    """Return where what has no name explains most, if that is known."""
+    node, _, when = naming.unknown_place.partition(", ")
+    if node == FRICTION:
+        return f", friction that differs {when}"
+    return f", heat at {node}, {when}" if node else ""
 
 
 def any_effect(naming: Naming) -> bool:

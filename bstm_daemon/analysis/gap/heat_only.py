@@ -30,6 +30,7 @@ from bstm_daemon.analysis.gap.signatures import (
     Signature,
     candidates,
 )
+from bstm_daemon.analysis.gap.unnamed_friction import unnamed_friction
 from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.matching.learned import short
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
@@ -136,6 +137,10 @@ def find_force_gap(
     naming = name_effect(comparison.layout, known)
     if naming.answer == "nothing":
         naming = replace(naming, reason=NOTHING_SEEN)
+    if naming.answer in {"nothing", "unknown"}:
+        beyond = replace(known, unknown=unnamed_friction(comparison))
+        unnamed = name_effect(comparison.layout, beyond)
+        naming = unnamed if unnamed.answer == "unknown" else naming
     seen = {}
     for one in naming.candidates:
         if one.reach <= WEAK:

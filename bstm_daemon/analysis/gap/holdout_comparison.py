@@ -175,15 +175,14 @@ def show(
 
 
 def contradicted(naming: Naming, by: NodeErrors) -> Naming:
-    """Return *naming* undecided: held-out errors, *by*, speak against it."""
+    """Return *naming* without a name: held-out errors, *by*, contradict it."""
     names = ", ".join(map(name_of, naming.names))
     reason = (
-        f"{by.drive}, held out: {by.node} is {by.rms_k[EXTENDED]:.1f} K off "
-        f"with {names}, {by.rms_k[SCALED]:.1f} K with {SCALED} instead"
+        f"{by.drive}, held out, contradicts {names}: {by.node} is "
+        f"{by.rms_k[EXTENDED]:.1f} K off, {by.rms_k[SCALED]:.1f} K with "
+        f"{SCALED} instead"
     )
-    missing = 1.0 - naming.odds[""]
-    answer = naming.answered("undecided", naming.names, missing, reason)
-    return replace(answer, against=f"{by.node} on {by.drive}")
+    return naming.answered("unknown", (), 1.0 - naming.odds[""], reason)
 
 
 def _shrink(

@@ -95,8 +95,7 @@ class Naming:
     members of a class; ``strengths`` are theirs. ``probability`` is that of
     the answer, ``odds`` of every candidate and of ``""``, nothing. ``sizes``
     are those of composed terms at strength 1; ``equations`` those of all
-    candidates, without any None. ``against`` is which node on which held-out
-    drive contradicts ``names``.
+    candidates, without any None.
     """
 
     answer: Answer
@@ -113,7 +112,6 @@ class Naming:
     unknown_place: str = ""
     sizes: dict[str, float] = field(default_factory=dict)
     equations: NormalEquations | None = None
-    against: str = ""
 
     @property
     def found(self) -> bool:
@@ -276,11 +274,13 @@ def _named(
         return unknown(
             f"{how} {100 * explained:.0f} % of what all together could"
         )
-    if alone and may_stand_in(best, own.most):
-        return unknown(
-            f"the best, {best.name}, would be {abs(best.strength):.1f} times "
-            "its typical size: rather something similar"
-        )
+    most = {one.name: one.most for one in linearised.signatures}
+    for one in several.chosen:
+        if may_stand_in(one, most[one.name]):
+            return unknown(
+                f"{one.name} would be {abs(one.strength):.1f} times its "
+                "typical size: rather something similar"
+            )
     if placebo > best.z:
         reason = f"{best.name} at other times than its own explains as much"
         return common.answered(

@@ -254,7 +254,8 @@ def _gap(  # noqa: PLR0913
     )
     plain_name = naming.answer in {"name", "class"}
     forces = None if plain_name else by_forces()
-    if forces is not None and forces.naming.answer == "name":
+    wanted = {"name"} if naming.found else {"name", "unknown"}
+    if forces is not None and forces.naming.answer in wanted:
         # motion heats whatever friction is: nothing to fit to temperatures
         reason = f"by forces, pressure against motion: {forces.naming.reason}"
         return replace(plain, naming=replace(forces.naming, reason=reason))

@@ -311,6 +311,12 @@ def test_two_that_leave_much_stand_in_for_something_else(
 ) -> None:
     """Little may be left of plain ones, whose forms are not the real ones."""
     pair = NAMES[:2]
+    # 20 deviations are a usual strength
+    signatures = tuple(
+        replace(one, linear=10.0 * one.linear, kelvin=10.0 * one.kelvin)
+        for one in quiet.signatures
+    )
+    quiet = replace(quiet, signatures=signatures)
     known = moved(layout, quiet, dict.fromkeys(pair, 20.0))
     heat = quiet.unknown[0].change
     known = replace(known, residual=known.residual - of_heat * heat)

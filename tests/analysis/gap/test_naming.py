@@ -366,9 +366,17 @@ def test_what_would_be_stronger_than_any_is_rather_something_similar(
     assert found.answer == answered
     if answered == "unknown":
         assert found.reason == (
-            f"the best, caliper_bypass, would be {size:.1f} times its typical "
-            "size: rather something similar"
+            f"caliper_bypass would be {size:.1f} times its typical size: "
+            "rather something similar"
         )
+        # nor beside another one
+        beside = spike(90, 8.0)
+        both = answer(
+            -strength * own - beside,
+            {"caliper_bypass": own, "hub_conduction": beside},
+        )
+        assert both.answer == "unknown"
+        assert both.reason == found.reason
 
 
 class TwoDrives(Grid):

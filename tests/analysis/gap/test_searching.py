@@ -29,7 +29,7 @@ def test_the_form_that_is_there_is_taken(
     config: Config, made: Callable[..., Recording]
 ) -> None:
     comparison = compare(targets_of(config, ["FL"])[0], [made({})])
-    simulated = sensed(comparison, ["clock_offset", "disc_hat"])
+    simulated = sensed(comparison, ["clock_offset", "backplate_loss"])
     basis = directions(comparison)
     (drifting,) = forms_of("clock_offset")
     for terms, form in (
@@ -47,7 +47,7 @@ def test_the_form_that_is_there_is_taken(
         assert found.strength == pytest.approx(2.0, rel=0.1)
         costs = {one.name: one.form_cost for one in known.signatures}
         assert 0.0 < costs["clock_offset"] <= np.log(2.0) + 1e-9
-        assert costs["disc_hat"] == 0.0
+        assert costs["backplate_loss"] == 0.0
     _, effects = comparison.placed(comparison.start, {"clock_offset": 2.0})
     assert effects[0].parameters == {"strength": 2.0, **drifting}
 
@@ -62,7 +62,7 @@ def test_each_effect_is_taken_in_the_form_that_explains_more() -> None:
         terms_k={
             "clock_offset": np.array([falling, flat]),
             "thermocouple_lag": np.array([rising, flat]),
-            "disc_hat": np.array([falling, flat]),
+            "backplate_loss": np.array([falling, flat]),
         },
         silent=(),
         unknown_k=(),
@@ -77,7 +77,7 @@ def test_each_effect_is_taken_in_the_form_that_explains_more() -> None:
     found = _in_best_forms(comparison, layout, simulated)
 
     for name, terms in found.terms_k.items():
-        expected = falling if name == "disc_hat" else rising
+        expected = falling if name == "backplate_loss" else rising
         assert terms[0].tolist() == expected.tolist()
     # the other one explains next to nothing
     assert found.form_costs == {

@@ -1,0 +1,83 @@
+"""Friction that differs by a law without a name, the open set of forces.
+
+Friction as a whole is a tunable. What is left may go with anything that the
+brake does or has done: a straight line in each of these stands for whatever
+law it is, so that an effect beyond the catalogue is not taken for nothing.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from bstm_daemon.analysis.gap.force_balance import ForceComparison
+from bstm_daemon.analysis.gap.forces import Forces
+from bstm_daemon.analysis.gap.signatures import UnnamedHeat
+from bstm_daemon.analysis.matching.march import march
+from bstm_daemon.analysis.statistics.series import Column
+from bstm_daemon.estimator.corner_model import compile_corner
+
+FRICTION: Final = "friction"
+"""The place of what forces show."""
+
+SHARE: Final = 0.05
+"""Of friction that counts as strength 1: what it differs by over one standard
+deviation of what it goes with."""
+
+
+def unnamed_friction(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
+    """Return by what each changes the whitened residual of *comparison*."""
+    whole_n = comparison.column("whole_n")
+    found = []
+    for what, parts in _drivers(comparison):
+        pairs = zip(parts, comparison.kept, strict=True)
+        driver = np.concatenate([one[own] for one, own in pairs])
+        weight = whole_n**2 / max(float(whole_n @ whole_n), 1e-9)
+        apart = driver - weight @ driver
+        size = float(np.sqrt(weight @ apart**2))
+        if size > 0.0:
+            change_n = SHARE * whole_n * apart / size
+            white = comparison.layout.whiten(change_n)
+            found.append(UnnamedHeat(FRICTION, f"with {what}", white))
+    return tuple(found)
+
+
+def _drivers(
+    comparison: ForceComparison,
+) -> Iterator[tuple[str, list[Column]]]:
+    """Yield what friction may go with, (windows,) by drive."""
+    parts = comparison.parts
+    yield "speed", [one.speed_ms for one in parts]
+    yield "pressure", [one.whole_n for one in parts]
+    # friction settles within seconds
+    yield (
+        "the length of the braking",
+        [np.log1p(_braked_s(one)) for one in parts],
+    )
+    yield (
+        "the work so far",
+        [np.cumsum(one.whole_n * one.metres) for one in parts],
+    )
+    yield "the discs' temperature", _discs_k(comparison)
+
+
+def _braked_s(part: Forces) -> Column:
+    """Return since when the brake is held, by window [s]."""
+    seconds = np.gradient(part.time_s)
+    held_s = np.zeros(len(seconds))
+    now = 0.0
+    for i, braked in enumerate(part.braked):
+        now = (now + seconds[i]) * (braked > 0.0)
+        held_s[i] = now
+    return held_s
+
+
+def _discs_k(comparison: ForceComparison) -> list[Column]:
+    """Return the temperatures of the discs together, by window [K]."""
+    found = [np.zeros(len(part.first)) for part in comparison.parts]
+    for corner in comparison.config.disc_corners():
+        program = compile_corner(comparison.config, corner)
+        for i, one in enumerate(comparison.recordings):
+            result = march([program], one.drive, corner.name)
+            found[i] += result["disc"][comparison.parts[i].first, 0]
+    return found
