@@ -82,6 +82,25 @@ RIGHT: Final[dict[str, set[str]]] = {
 }
 """Hidden effect to right names."""
 
+PLACES: Final[dict[str, tuple[str, ...]]] = {
+    "mu_fade": ("brake heat",),
+    "mu_progressive": ("brake heat",),
+    "pad_half_worn": ("pad_front to pad_back",),
+    "disc_worn": ("disc",),
+    "closed_rim": ("to air", "carried by air"),
+    "dragging_caliper": ("heat at pad_front", "heat at disc"),
+    "extra_mass": ("brake heat",),
+    "accel_offset": ("brake heat",),
+    "shim_degraded": ("pad_back to",),
+    "hammerhead_strong": ("pad_back to",),
+    "pad_k_rise": ("pad_front to pad_back",),
+    "engine_heat": ("heat at",),
+    "tc_debonded": (),
+    "hub_drum_heat": ("heat at disc", "disc to"),
+}
+"""Hidden effect to the paths of a description without its names; an error of a
+sensor has none."""
+
 NAMED: Final = frozenset({"name", "class"})
 """Answers that give a name."""
 
@@ -250,15 +269,20 @@ def verdict(effect: str, naming: dict[str, Any]) -> str:
     return "right" if named and names <= right else "right among"
 
 
-def verdict_unlisted(naming: dict[str, Any]) -> str:
-    """Return what *naming* is worth where no candidate describes the effect.
+def verdict_unlisted(effect: str, naming: dict[str, Any]) -> str:
+    """Return what *naming* is worth where no candidate describes *effect*.
 
-    ``right`` without a name; ``missing`` where it does not decide.
+    ``right`` without a name, or described at its place first; ``elsewhere``;
+    ``missing`` where it does not decide.
     """
     answer = naming["answer"]
+    if answer == "composed":
+        first = naming["names"][0]
+        there = any(path in first for path in PLACES[effect])
+        return "right" if there else "elsewhere"
     if answer in NAMED:
         return "wrong"
-    told = {"nothing": "silent", "unknown": "right", "composed": "right"}
+    told = {"nothing": "silent", "unknown": "right"}
     return told.get(answer, "missing")
 
 
@@ -303,7 +327,7 @@ def row(world: World, case: Case) -> list[str]:
         case.effect if hidden else f"none ({', '.join(case.drives)})",
         ("yes" if world.detectable(case) else "no") if hidden else "-",
         ", ".join(naming["names"]) or naming["answer"],
-        verdict_unlisted(naming)
+        verdict_unlisted(case.effect, naming)
         if case.unlisted
         else verdict(case.effect, naming),
         *(

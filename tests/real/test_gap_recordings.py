@@ -57,6 +57,7 @@ def test_toyota_brakes_without_pressure() -> None:
     assert "friction_fade" in found.unseen
 
 
+@pytest.mark.slow
 def test_f1_discs_are_cooled_by_the_wind(tmp_path: Path) -> None:
     """With a constant coefficient both tracks ask for the same two effects."""
     text = (ROOT / "tests" / "real" / "f1.toml").read_text("utf-8")
