@@ -271,7 +271,7 @@ def _gap(  # noqa: PLR0913
     report_share(0.85)
     shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
     against = shown.against(handed_on)
-    if against is not None and naming.answer in {"name", "class"}:
+    if against is not None:
         return replace(plain, naming=contradicted(naming, against))
     values, entries = written(comparison, extended, naming)
     plain = replace(

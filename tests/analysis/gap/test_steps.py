@@ -12,6 +12,7 @@ import pytest
 from bstm_daemon.analysis.gap import naming, workflow
 from bstm_daemon.analysis.gap.advising import Prospect
 from bstm_daemon.analysis.gap.evidence import Candidate
+from bstm_daemon.analysis.gap.holdout_comparison import EXTENDED, SCALED
 from bstm_daemon.analysis.gap.joint_effects import JointEffects
 from bstm_daemon.analysis.gap.naming import Answer, Naming
 from bstm_daemon.analysis.gap.signatures import Linearised
@@ -43,7 +44,10 @@ def steps(
     """Return what finds a gap of a known *naming*: it, and what was done."""
 
     def run(
-        found: Naming, until: str, question: Question = workflow.ANY
+        found: Naming,
+        until: str,
+        question: Question = workflow.ANY,
+        against: Any = None,
     ) -> tuple[Any, list[str]]:
         done: list[str] = []
 
@@ -61,7 +65,7 @@ def steps(
         known = Linearised(
             *(np.zeros(3), np.zeros((3, 5)), (), ("shim_contact",), ())
         )
-        shown = SimpleNamespace(against=lambda _: None, better=True)
+        shown = SimpleNamespace(against=lambda _: against, better=True)
         extended = SimpleNamespace(strengths={"gap_conduction": 1.2})
         for name, value in (
             ("locate", "a map"),
@@ -130,6 +134,31 @@ def test_nothing_is_done_beyond_what_is_asked_for(
     assert gap.adopted == (("gap_conduction",) if is_adopted else ())
     assert gap.values == (("value",) if is_adopted else ())
     assert gap.after == ("the map after" if until == "show" else None)
+
+
+@pytest.mark.parametrize("answer", ["name", "class", "composed"])
+def test_what_is_contradicted_is_none_of_the_known(
+    steps: Callable[..., tuple[Any, list[str]]], answer: Answer
+) -> None:
+    """Whatever the answer; nothing can be adopted."""
+    named = NAMED.answered(answer, ("gap_conduction",), 0.9, "")
+    off: Any = SimpleNamespace(
+        drive="b.log",
+        node="fluid",
+        rms_k={SCALED: 2.0, EXTENDED: 5.0},
+    )
+
+    gap, done = steps(named, "show", against=off)
+
+    assert [one for one in done if one in ORDER] == [*ORDER[:5]]
+    assert (gap.naming.answer, gap.naming.names) == ("unknown", ())
+    assert gap.naming.probability == pytest.approx(0.99)
+    assert gap.naming.reason == (
+        "b.log, held out, contradicts gap_conduction: fluid is 5.0 K off, "
+        "2.0 K with heat and cooling re-fitted instead"
+    )
+    assert not gap.adopted
+    assert gap.shown is None
 
 
 def test_nothing_is_fitted_where_nothing_is_named(
