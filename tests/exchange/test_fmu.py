@@ -266,10 +266,10 @@ def car_samples(steps: int) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     ("hold", "fmi"),
     [
-        *((1, 2), (2, 3)),
+        (1, 2),
         *(
             pytest.param(*one, marks=pytest.mark.full)
-            for one in ((1, 3), (2, 2), (20, 2), (20, 3))
+            for one in ((1, 3), (2, 2), (2, 3), (20, 2), (20, 3))
         ),
     ],
 )
@@ -406,10 +406,10 @@ def driven(
 @pytest.mark.parametrize(
     ("name", "fmi"),
     [
-        ("car", 2),
+        ("FL", 2),
         *(
             pytest.param(*one, marks=pytest.mark.full)
-            for one in (("FL", 2), ("FL", 3), ("car", 3))
+            for one in (("FL", 3), ("car", 2), ("car", 3))
         ),
     ],
 )

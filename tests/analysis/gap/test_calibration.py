@@ -282,6 +282,7 @@ def test_a_search_of_its_own_drives_does_not_count_them_twice(
 
 
 @pytest.mark.slow
+@pytest.mark.full  # tests/cli/test_match.py has it through the command
 def test_what_is_hidden_in_all_drives_is_added(
     calibrated: Callable[..., Calibrated], made: Callable[..., Recording]
 ) -> None:
