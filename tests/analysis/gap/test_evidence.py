@@ -97,6 +97,7 @@ def test_a_strength_stays_within_what_physics_allows() -> None:
         (3.7, 2.0, 10.0, 0.15),
         (3.0, 9.0, 10.0, 0.0),
         (2.4, 0.3, 2.5, 0.0),
+        (3.9, 0.3, 3.95, 0.0),
     ],
 )
 def test_what_would_be_stronger_than_any_counts_less(

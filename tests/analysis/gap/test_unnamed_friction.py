@@ -57,24 +57,33 @@ def test_a_straight_line_in_what_it_goes_with() -> None:
         "with the work so far": np.concatenate(
             [j[own] for j, own in zip(work_j, comparison.kept, strict=True)]
         ),
+        "with the length of the braking": np.log1p(
+            np.concatenate(
+                [
+                    _braked_s(one)[own]
+                    for one, own in zip(
+                        comparison.parts, comparison.kept, strict=True
+                    )
+                ]
+            )
+        ),
         "with the discs' temperature": np.concatenate(
             [disc_k(i)[own] for i, own in enumerate(comparison.kept)]
         ),
     }
-    assert found.keys() == {*drivers, "with the length of the braking"}
+    assert found.keys() == drivers.keys()
     for name, change_n in found.items():
         assert abs(change_n @ whole_n) < 1e-6 * (whole_n @ whole_n)
         assert change_n @ change_n == pytest.approx(
             SHARE**2 * (whole_n @ whole_n)
         )
-        if name in drivers:
-            braked = whole_n > 1.0
-            share = change_n[braked] / whole_n[braked]
-            line = np.polyfit(drivers[name][braked], share, 1)
-            assert line[0] > 0.0
-            assert share == pytest.approx(
-                np.polyval(line, drivers[name][braked]), abs=1e-9
-            )
+        braked = whole_n > 1.0
+        share = change_n[braked] / whole_n[braked]
+        line = np.polyfit(drivers[name][braked], share, 1)
+        assert line[0] > 0.0
+        assert share == pytest.approx(
+            np.polyval(line, drivers[name][braked]), abs=1e-9
+        )
 
 
 def test_a_braking_lasts_since_it_began() -> None:
