@@ -267,6 +267,7 @@ def test_what_forces_can_not_tell_is_said() -> None:
     assert set(found.seen) <= {one.name for one in found.naming.candidates}
 
 
+@pytest.mark.slow
 def test_released_or_not_must_be_known() -> None:
     """Without pressure and switch every braking is one without pressure."""
     config, present = car()

@@ -56,6 +56,7 @@ def test_no_set_gives_a_wrong_name(
     assert HIDDEN in {one.name for one in found.candidates}
 
 
+@pytest.mark.slow
 def test_what_is_not_measured_shows_later(
     target: Target, made: Callable[..., Recording]
 ) -> None:
