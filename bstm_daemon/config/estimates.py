@@ -28,6 +28,12 @@ WEAR_LIMIT_M3_J: Final = 2e-11
 4411-1993, allows a lining 0.5e-13 at 100 degC and 3.5e-13 at 350 degC; the
 limit is fifty times that, for poor linings and drives that stand for many."""
 
+ALIKE, UNMATCHED = 3.0, 6.0
+"""Factors on what is unknown of a matched model, whose fluid has 3.6 % of its
+rise: a brake that is alike on paper differs by a tenth in friction and air; a
+drawing alone leaves twelve times as much (docs/risk.md), half of it because
+its estimate is degraded."""
+
 USUAL_DRIFT_K: Final = 1.0
 """Drift of a thermocouple that the accuracy of models includes already."""
 
@@ -78,6 +84,9 @@ class MatchedConfig(Section):
 
     corners: list[Text]
     """corners matched together"""
+    alike: list[Text] = []
+    """corners without a thermocouple, configured alike, that got the same
+    values"""
     names: list[Text]
     """the fitted values, as dotted keys"""
     values: list[Positive]
@@ -199,9 +208,9 @@ class ForecastConfig(Section):
 
     members: Annotated[int, Field(ge=8, le=256)] = 64
     """members of the ensemble; 8 without the compiled kernel"""
-    uncertainty: Positive = 1.0
-    """factor on what is unknown of a matched model; more for an unmatched
-    one"""
+    uncertainty: Positive | None = None
+    """factor on what is unknown of a matched model; without it 1 for matched
+    corners, 3 for those alike, 6 for others ([risk.md](risk.md))"""
     disc_limits_c: list[Limit] = [500.0, 600.0, 700.0]
     """where elevated, high and critical begin"""
     pad_limits_c: list[Limit] = [400.0, 500.0, 600.0]

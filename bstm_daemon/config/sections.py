@@ -465,7 +465,8 @@ class Config(Section):
 
     def thermal_of(self, corner: CornerConfig) -> ThermalConfig:
         """Merge ``[thermal]`` with the overrides of *corner*."""
-        return ThermalConfig(**{**self.thermal.model_dump(), **corner.thermal})
+        given = self.thermal.model_dump(exclude_unset=True)
+        return ThermalConfig(**{**given, **corner.thermal})
 
     def cooling_of(self, corner: CornerConfig) -> CoolingConfig:
         """Merge ``[cooling]`` with the overrides of *corner*."""
@@ -476,6 +477,19 @@ class Config(Section):
         return next(
             (one for one in self.matched if corner in one.corners), None
         )
+
+    def uncertainty_of(self, corner: str) -> float:
+        """Return the factor on what is unknown of the model of *corner*."""
+        if (given := self.forecast.uncertainty) is not None:
+            return given
+        if self.matched_of(corner) is not None:
+            return 1.0
+        alike = self.has_values_of_another(corner)
+        return estimates.ALIKE if alike else estimates.UNMATCHED
+
+    def has_values_of_another(self, corner: str) -> bool:
+        """Whether *corner* got what was matched at one like it."""
+        return any(corner in one.alike for one in self.matched)
 
     def disc_corners(self) -> list[CornerConfig]:
         """List the corners that have a thermal model."""

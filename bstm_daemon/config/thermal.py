@@ -1,8 +1,8 @@
 """The sections of the thermal model and of the cooling by air."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bstm_daemon.config.section import (
     Fraction,
@@ -15,6 +15,12 @@ from bstm_daemon.config.section import (
 )
 
 Emissivity = Annotated[float, Field(gt=0, le=1)]
+
+SURFACE_AT_REST_W_K: Final = 0.6
+"""Of a caliper's own surface: half of a box of 0.18 by 0.12 by 0.1 m, 0.05 m2,
+at 12 W/m2K of free convection and radiation (Incropera, Fundamentals of Heat
+and Mass Transfer). Table 4.1's value is that of all ways out of the lump; the
+structure "extended" has the bracket's and the disc's apart."""
 
 
 class ThermalConfig(Section):
@@ -50,7 +56,7 @@ class ThermalConfig(Section):
     fluid_model: str = "lump"
     """`lump`, or `module:function` of your own"""
     fluid_static_convection_w_k: NotNegative = 1.5
-    """fluid and caliper to air at rest (Table 4.1)"""
+    """fluid and caliper to air at rest (Table 4.1); 0.6 with `extended`"""
     fluid_caliper_thermal_capacity_j_k: Positive = 2600.0
     """fluid and caliper as one lump (Table 4.1)"""
     fluid_dynamic_convection_ws_mk: NotNegative = 0.15
@@ -72,6 +78,14 @@ class ThermalConfig(Section):
     """disc to pad while the brake is off; 0 in the thesis"""
     disc_pad_radiation: Literal["grey-plates", "product"] = "grey-plates"
     """grey plates, or the product of Eq 2.10"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_surface(cls, given: Any) -> Any:
+        """Take the caliper's own surface where its other paths are apart."""
+        if isinstance(given, dict) and given.get("structure") == "extended":
+            return {"fluid_static_convection_w_k": SURFACE_AT_REST_W_K} | given
+        return given
 
 
 class CoolingConfig(Section):

@@ -6,7 +6,7 @@ other inputs, :class:`~bstm_daemon.estimator.trust.Trust` and
 :class:`~bstm_daemon.estimator.model_check.ModelCheck` the heat and the
 temperatures that follow. What no mapped role can contradict is *unverified*,
 and with it every corner that goes by it. So is the fluid of a corner that was
-matched without its temperature: what leads to it has typical values still.
+not matched, or without its temperature: what leads to it has typical values.
 """
 
 from collections.abc import Collection
@@ -93,6 +93,7 @@ what a sound model may be off by hides a tenth of the heat."""
 NOTHING: Final = "nothing: unverified, its corners are degraded"
 THERMOCOUPLES: Final = "measured temperatures"
 MATCH: Final = "its match"
+STATED: Final = "[forecast] uncertainty"
 AT_FLUID: Final = frozenset({"fluid", "caliper"})
 """A match that compared one of these nodes knows the way of the heat there."""
 
@@ -123,7 +124,7 @@ def verified_by(
 ) -> dict[Input, tuple[str, ...]]:
     """Return what verifies each input of the heat mode at *corner*, in words.
 
-    And what verifies its fluid, if it was matched.
+    And what verifies its fluid: the values that lead to it are its own.
 
     Args:
         config: the vehicle.
@@ -149,12 +150,20 @@ def verified_by(
     }
     if mode == "measured" and _is_compared(roles, corner):
         found[Input.TEMPERATURE] = (THERMOCOUPLES,)
-    matched = config.matched_of(corner)
-    if matched is not None:
-        seen = f"temp_{corner.lower()}_fluid" in roles
-        known = not AT_FLUID.isdisjoint(matched.form_k)
-        found[Input.FLUID] = (MATCH,) * known + (THERMOCOUPLES,) * seen
+    seen = f"temp_{corner.lower()}_fluid" in roles
+    found[Input.FLUID] = (
+        *_known_by(config, corner),
+        *(THERMOCOUPLES,) * seen,
+    )
     return found
+
+
+def _known_by(config: Config, corner: str) -> tuple[str, ...]:
+    """Return what knows the way of the heat to the fluid of *corner*."""
+    for one in config.matched:
+        if corner in (*one.corners, *one.alike):
+            return (MATCH,) * (not AT_FLUID.isdisjoint(one.form_k))
+    return (STATED,) * (config.forecast.uncertainty is not None)
 
 
 def _is_compared(roles: Collection[str], corner: str) -> bool:

@@ -96,7 +96,8 @@ class Car(NamedTuple):
     """What is marched: corners, those of one structure in a group.
 
     ``beside`` are the corners of another course of the same car; ``programs``
-    by corner; ``level`` is that of the car; ``batches`` are kept of corners.
+    and ``spreads`` by corner; ``level`` is that of the car; ``batches`` are
+    kept of corners.
     """
 
     corners: list[Corner]
@@ -106,22 +107,23 @@ class Car(NamedTuple):
     kernel: Kernel | None
     level: LevelMemory
     members: int
-    spread: Spread
+    spreads: Mapping[str, Spread]
     batches: dict[tuple[str, ...], Batch]
 
     def is_present(self, corner: Corner) -> bool:
         """Whether the march of *corner* is that of its network now."""
         return corner.program is self.programs[corner.name]
 
-    def march_of(self, program: Program) -> CornerMarch:
-        """Return that of *program*, which corners and courses share."""
+    def march_of(self, name: str) -> CornerMarch:
+        """Return that of corner *name*; corners and courses share them."""
+        program, spread = self.programs[name], self.spreads[name]
         for corner in self.corners:
-            if corner.march.ensemble.program == program:
+            if corner.march.ensemble.is_of(program, spread):
                 return corner.march
         for corner in self.beside:
-            if corner.march.ensemble.program == program:
+            if corner.march.ensemble.is_of(program, spread):
                 return CornerMarch(corner.march.ensemble, self.kernel)
-        ensemble = Ensemble(program, self.members, self.spread)
+        ensemble = Ensemble(program, self.members, spread)
         return CornerMarch(ensemble, self.kernel)
 
     def batch(self, corners: tuple[str, ...]) -> Batch:
@@ -137,7 +139,7 @@ class Car(NamedTuple):
         """Let *corner* have the march of its network now."""
         if not self.is_present(corner):
             corner.program = self.programs[corner.name]
-            corner.march = self.march_of(corner.program)
+            corner.march = self.march_of(corner.name)
 
 
 @dataclass(slots=True)

@@ -95,7 +95,6 @@ class CourseRisk:
             [c + KELVIN_OFFSET for c in config.forecast.pad_limits_c],
         ]
         self._ambient_k = config.vehicle.ambient_c + KELVIN_OFFSET
-        spread = Spread().scaled(config.forecast.uncertainty)
         self._programs = estimator.programs
         of_estimate = {} if beside is None else beside.corners()
         self._corners: list[Corner] = []
@@ -108,14 +107,17 @@ class CourseRisk:
             self._kernel,
             self._level,
             self.members,
-            spread,
+            {
+                one: Spread().scaled(config.uncertainty_of(one))
+                for one in estimator.programs
+            },
             {},
         )
         for name in estimator.layout.corners:
             if (program := estimator.programs.get(name)) is not None:
                 other = of_estimate.get(name)
                 duty = Duty(program) if other is None else other.duty
-                march = self._marched.march_of(program)
+                march = self._marched.march_of(name)
                 self._corners.append(Corner(name, program, march, duty))
         self._forecast: CarForecast | None = None
         self._forecast_us: int | None = None

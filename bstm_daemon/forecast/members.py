@@ -119,6 +119,10 @@ class Ensemble:
         ) * (1.0 if table is None else min(table.values))
         """The least capacity of a member's fluid [J/K]."""
 
+    def is_of(self, program: Program, spread: Spread) -> bool:
+        """Whether it has the members of *program* with *spread*."""
+        return self.program == program and self.spread == spread
+
     def batch(self, kernel: Kernel | None) -> Batch:
         """Return the members as a batch of *kernel*, made once."""
         if self._batch is None or self._batch.kernel is not kernel:

@@ -74,11 +74,11 @@ def outlook(
         air_k = config.vehicle.ambient_c + KELVIN_OFFSET
     kernel = estimator.kernel
     members = config.forecast.members if kernel else PYTHON_MEMBERS
-    spread = Spread().scaled(config.forecast.uncertainty)
     factor = 1.0 if known else DEGRADED_FACTOR
     bounds = estimator.start.states()
     corners = []
     for name in (c.name for c in config.disc_corners()):
+        spread = Spread().scaled(config.uncertainty_of(name))
         ensemble = Ensemble(estimator.programs[name], members, spread)
         state = bounds.get(name) or estimator.state(name)
         course = parked_course(

@@ -1,14 +1,16 @@
 """The whole workflow in a car simulator that shares nothing with this project.
 
 ``second_world.py FOLDER [--release] [--first SEED] [--cars N] [--effects N]
-[--controls N] [--unlisted] [--out FILE.md]``. ``BSTM_SECOND_WORLD`` names the
-simulator: the folder of ``make_case.py``, which writes drives with and without
-a hidden effect, and of ``sheet_to_config.py``, which writes a configuration
-from the car's sheet; ``BSTM_SECOND_WORLD_PYTHON`` is the interpreter that has
-what they need. Each car is matched once with ``bstm match`` on drives without
-the effect; then ``bstm gap run`` answers on drives with it. FOLDER keeps what
-was made: a second run does what is missing. ``--unlisted`` asks what is hidden
-with all its right names taken out of the catalogue, and no controls.
+[--controls N] [--unlisted] [--drives] [--out FILE.md]``.
+``BSTM_SECOND_WORLD`` names the simulator: the folder of ``make_case.py``,
+which writes drives with and without a hidden effect, and of
+``sheet_to_config.py``, which writes a configuration from the car's sheet;
+``BSTM_SECOND_WORLD_PYTHON`` is the interpreter that has what they need. Each
+car is matched once with ``bstm match`` on drives without the effect; then
+``bstm gap run`` answers on drives with it. FOLDER keeps what was made: a
+second run does what is missing. ``--unlisted`` asks what is hidden with all
+its right names taken out of the catalogue, and no controls; ``--drives``
+compares the held-out drives with their truth, by the sheet alone and matched.
 
 Seeds below 500 are for development. ``--release`` takes those that a hash of
 the released version draws from 500 to 999: for figures that are reported, and
@@ -120,6 +122,12 @@ the matched control is off there, both as RMS against the truth."""
 HEADER: Final = (
     *("car", "hidden", "detectable", "answer", "worth"),
     *("shrink, as configured", "heat and cooling re-fitted"),
+)
+
+
+DRIVES: Final = (
+    *("car", "drive", "configured", "fluid, largest K", "RMS"),
+    *("peak late, min", "disc, RMS"),
 )
 
 
@@ -235,6 +243,36 @@ class World:
                 worst = max(worst, rms(own - truth[node]) / off_k)
         return worst >= DETECTABLE
 
+    def drives(self, seed: int) -> list[list[str]]:
+        """Return what held-out drives of car *seed* are off their truth."""
+        matched, rows = self.matched(seed), []
+        sheet = matched.parent / "car.toml"
+        for by, path in ("sheet", sheet), ("match", matched):
+            vehicle = load_config(path)
+            for log in sorted(matched.parent.glob("heldout*.log")):
+                run = replay(log, vehicle, start="cold", every_s=1.0).columns
+                time_s = run["time_s"] - run["time_s"][0]
+                truth = np.load(matched.parent / "truth" / f"{log.stem}.npz")
+                fluid, disc = (
+                    np.interp(truth["t"], time_s, run[f"FL.{NODES[node]}"])
+                    for node in ("fluid", "disc")
+                )
+                late_s = (
+                    truth["t"][fluid.argmax()]
+                    - truth["t"][truth["fluid"].argmax()]
+                )
+                off_k = fluid - truth["fluid"]
+                rows.append(
+                    [
+                        *(str(seed), log.stem, by),
+                        f"{off_k[np.abs(off_k).argmax()]:+.1f}",
+                        f"{rms(off_k):.2f}",
+                        f"{late_s / 60.0:+.1f}",
+                        f"{rms(disc - truth['disc']):.1f}",
+                    ]
+                )
+        return rows
+
 
 def bstm(*arguments: str) -> None:
     """Run ``bstm``; exit codes above 1 are errors."""
@@ -347,6 +385,7 @@ def main() -> None:
     parser.add_argument("--effects", type=int, default=6)
     parser.add_argument("--controls", type=int, default=6)
     parser.add_argument("--unlisted", action="store_true")
+    parser.add_argument("--drives", action="store_true")
     parser.add_argument("--out", type=Path, metavar="FILE.md")
     args = parser.parse_args()
     world = World(args.folder.resolve())
@@ -356,15 +395,19 @@ def main() -> None:
         if args.release
         else range(args.first, args.first + args.cars)
     )
-    rows = []
+    rows: list[list[str]] = []
     for seed in seeds:
+        if args.drives:
+            rows += world.drives(seed)
+            continue
         controls = 0 if args.unlisted else args.controls
         for case in cases(seed, args.effects, controls):
             case = replace(case, unlisted=args.unlisted)  # noqa: PLW2901
             rows.append(row(world, case))
             print(*rows[-1], sep="  ", flush=True)  # noqa: T201
-    table = {"header": HEADER, "rows": rows}
-    text = "\n".join([*markdown(table), "", figures(rows)]) + "\n"
+    table = {"header": DRIVES if args.drives else HEADER, "rows": rows}
+    words = [] if args.drives else ["", figures(rows)]
+    text = "\n".join([*markdown(table), *words]) + "\n"
     if args.out:
         args.out.write_text(text, "utf-8")
     else:

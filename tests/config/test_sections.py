@@ -338,6 +338,27 @@ def test_corner_overrides_single_keys() -> None:
     assert whole.disc_corners() == [front]
 
 
+def test_a_caliper_with_other_paths_has_its_own_surface_alone() -> None:
+    """Of a corner as of the car; a value that is given stays."""
+    key = "fluid_static_convection_w_k"
+    assert getattr(ThermalConfig(), key) == 1.5
+    apart = ThermalConfig(structure="extended")
+    assert getattr(apart, key) == 0.6
+    given = ThermalConfig(structure="extended", **{key: 0.9})
+    assert getattr(given, key) == 0.9
+    plain = config.Config.model_validate(
+        {
+            "vehicle": VEHICLE,
+            "bus": [{"name": "b", "dbc": "b.dbc"}],
+            "signals": {},
+            "corner": [corner(thermal={"structure": "extended"})],
+            "heat": {"mode": "ff"},
+        }
+    )
+    assert getattr(plain.thermal, key) == 1.5
+    assert getattr(plain.thermal_of(plain.corner[0]), key) == 0.6
+
+
 def test_a_piston_is_given_by_its_area_or_its_diameter() -> None:
     """57 mm are 25.5 cm2; a configuration that was written out reads back."""
     given = {k: v for k, v in CORNER.items() if k != "piston_area_m2"}

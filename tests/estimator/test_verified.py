@@ -13,6 +13,7 @@ from bstm_daemon.estimate import NO_INPUT, Input, Reason, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.estimator.verified import (
     MATCH,
+    STATED,
     THERMOCOUPLES,
     unverified_inputs,
     unverified_of_car,
@@ -37,12 +38,18 @@ THESIS = (*WHEELS, "primary_pressure", *MOTION)
 def car(
     make_car: Callable[..., Config], make_corner: Callable[..., CornerConfig]
 ) -> Callable[..., Config]:
-    """Return the maker of a car with front corners and a heat mode."""
+    """Return the maker of a car with front corners and a heat mode.
+
+    What is unknown of its model is given.
+    """
 
     def make(mode: str, *matched: object, **heat: object) -> Config:
         corners = [make_corner(name) for name in ("FL", "FR")]
         return make_car(
-            *corners, heat={"mode": mode, **heat}, matched=[*matched]
+            *corners,
+            heat={"mode": mode, **heat},
+            matched=[*matched],
+            forecast={"uncertainty": 1.0},
         )
 
     return make
@@ -88,12 +95,14 @@ def test_what_verifies_each_input_is_told_in_words() -> None:
             ("pressure", "motion and torque"),
             ("acceleration", "changes of speed"),
             ("torque", "pressure and motion"),
+            ("fluid", f"{STATED}; {THERMOCOUPLES}"),
+            ("fluid", STATED),
         ],
-        "subaru_wrx_sti": [speed, ("pressure", nothing)],
-        "toyota_rav4": [speed, ("acceleration", nothing)],
+        "subaru_wrx_sti": [speed, ("pressure", nothing), ("fluid", nothing)],
+        "toyota_rav4": [speed, ("acceleration", nothing), ("fluid", nothing)],
     }
     corners = {where for found in rows.values() for _, where, _ in found}
-    assert corners == {"FL FR RL RR"}
+    assert corners == {"FL FR RL RR", "FL FR", "RL RR"}
 
 
 def test_feed_back_is_verified_by_the_pressure(
@@ -114,9 +123,12 @@ def test_feed_back_is_verified_by_the_pressure(
 
 
 def test_the_cars_of_the_recordings_are_unverified() -> None:
-    """No torque: neither the pressure nor the acceleration has a witness."""
-    assert shipped("subaru_wrx_sti.toml") == Input.PRESSURE
-    assert shipped("toyota_rav4.toml") == Input.ACCELERATION
+    """No torque: neither the pressure nor the acceleration has a witness.
+
+    Nor was either car matched.
+    """
+    assert shipped("subaru_wrx_sti.toml") == Input.PRESSURE | Input.FLUID
+    assert shipped("toyota_rav4.toml") == Input.ACCELERATION | Input.FLUID
 
 
 @pytest.mark.parametrize(
@@ -243,10 +255,27 @@ def test_a_match_without_the_fluid_leaves_it_unverified(
     config, roles = car("fused", matched(*nodes)), (*THESIS, *more)
 
     assert verified_by(config, roles, "FL")[Input.FLUID] == expected
-    # nobody has matched this one, and nobody says so
-    assert Input.FLUID not in verified_by(config, roles, "FR")
+    # nobody has matched this one, but its uncertainty is given
+    assert verified_by(config, roles, "FR")[Input.FLUID][0] == STATED
     found = unverified_of_car(config, [ROLE_INDEX[role] for role in roles])
     assert found == (NO_INPUT if expected else Input.FLUID)
+
+
+def test_what_nobody_matched_is_unverified(car: Callable[..., Config]) -> None:
+    """But one that has the values of a corner like it."""
+
+    def fluids(*alike: str, nodes: tuple[str, ...]) -> list[tuple[str, ...]]:
+        config = car("fused", matched(*nodes) | {"alike": [*alike]})
+        unset = config.forecast.model_copy(update={"uncertainty": None})
+        config = config.model_copy(update={"forecast": unset})
+        return [
+            verified_by(config, THESIS, one)[Input.FLUID]
+            for one in ("FL", "FR")
+        ]
+
+    assert fluids(nodes=("disc", "fluid")) == [(MATCH,), ()]
+    assert fluids("FR", nodes=("disc", "fluid")) == [(MATCH,), (MATCH,)]
+    assert fluids("FR", nodes=("disc",)) == [(), ()]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.estimate import RiskLevel, Validity
 from bstm_daemon.estimator.estimator import Estimator
 from bstm_daemon.files import shipped_file
@@ -221,6 +222,36 @@ def test_corners_of_other_parts_are_each_foreseen() -> None:
     assert found["FL"].peak_k > 430.0
     assert found["FR"].level is RiskLevel.NORMAL
     assert found["FR"].peak_k == pytest.approx(330.0, abs=1.0)
+
+
+def test_what_was_not_matched_is_less_certain() -> None:
+    """A matched corner, one alike and one that was not, the same inside."""
+    watched = Watched("FL", "FR", "RL")
+    known = MatchedConfig(
+        corners=["FL"], alike=["FR"], names=[], values=[], factor=[]
+    )
+    unset = watched.config.forecast.model_copy(update={"uncertainty": None})
+    watched.config = watched.config.model_copy(
+        update={"matched": [known], "forecast": unset}
+    )
+    watched.monitor = RiskMonitor(watched.config, watched.estimator)
+    block = watched.at_rest(3)
+    for name in watched.names:
+        watched.put(block, name, fluid=380.0)
+
+    found = watched.monitor.add(block)[-1].corners
+
+    one_k = found["FL"].fluid_deviation_k
+    assert one_k > 1.0
+    assert found["FR"].fluid_deviation_k == pytest.approx(3.0 * one_k)
+    assert found["RL"].fluid_deviation_k == pytest.approx(6.0 * one_k)
+    sure, open_ = found["FL"].probability, found["RL"].probability
+    assert sure < 1e-3
+    assert open_ > 0.01
+    assert watched.config.uncertainty_of("RL") == 6.0
+    given = unset.model_copy(update={"uncertainty": 2.0})
+    told = watched.config.model_copy(update={"forecast": given})
+    assert [told.uncertainty_of(one) for one in ("FL", "RL")] == [2.0, 2.0]
 
 
 def test_vapour_ahead_counts_though_the_fluid_is_cold_now() -> None:

@@ -27,6 +27,7 @@ def changes_of(
     changes = []
     for match in matches:
         settings = match.settings()
+        corners = (*match.corners, *match.after.alike)
         notes = {}
         for key in settings:
             sd = match.deviation(key)
@@ -34,7 +35,7 @@ def changes_of(
             if key == "cooling.s_per_s":
                 notes[key] = f"{origin}, sd {100.0 * sd:.2g} %"
         changes += value_changes(
-            *(settings, notes, config, match.corners, match.after.linings)
+            *(settings, notes, config, corners, match.after.linings)
         )
     changes += _accuracy(matches, origin)
     # what is the car's own, each of its matches says
@@ -65,6 +66,7 @@ def learned(match: Match) -> MatchedConfig:
         whole,
         MatchedConfig(
             corners=list(match.corners),
+            alike=list(match.after.alike),
             names=[],
             values=[],
             factor=[],

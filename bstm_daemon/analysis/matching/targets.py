@@ -28,17 +28,17 @@ def targets_of(
     """Return the corners with thermocouples, those alike together.
 
     A right and a left corner of one axle are alike where their disc, pads
-    and models are configured the same; with *each* none are.
+    and models are configured the same; with *each* none are. One without a
+    thermocouple gets what is found of the other.
     """
     groups: dict[str, list[str]] = {}
     for corner in config.disc_corners():
-        if corner.name not in measured:
-            continue
         looks = corner.model_dump(
             exclude={
                 "name": True,
                 "side": True,
                 "axle": True,
+                "circuit": True,
                 "friction_coefficient": True,
                 # what wear starts from, no part of the model
                 "pad": {"new_thickness_m", "measured"},
@@ -51,10 +51,22 @@ def targets_of(
         }
         group = corner.name if each else repr(looks)
         groups.setdefault(group, []).append(corner.name)
-    found = [tuple(names) for names in groups.values()]
+    held = {
+        own: tuple(
+            name
+            for name in names
+            if name not in measured and name[0] in {one[0] for one in own}
+        )
+        for names in groups.values()
+        if (own := tuple(name for name in names if name in measured))
+    }
     return [
-        Target(config, names, guessed, linings=_linings(config, names, found))
-        for names in found
+        Target(
+            *(config, own, guessed),
+            linings=_linings(config, own, [*held]),
+            alike=alike,
+        )
+        for own, alike in held.items()
     ]
 
 

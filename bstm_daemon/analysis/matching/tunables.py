@@ -255,7 +255,8 @@ class Target:
     Their configuration is that of ``corner``, the first of them; ``guessed``
     are the tunables whose values in it nobody has measured, ``free`` those
     that are refined beside the usual ones; ``linings`` are the corners with
-    linings like theirs, themselves if it is empty.
+    linings like theirs, themselves if it is empty; ``alike`` are corners like
+    them without a thermocouple.
     """
 
     config: Config
@@ -263,6 +264,7 @@ class Target:
     guessed: frozenset[str] = frozenset()
     free: tuple[str, ...] = ()
     linings: tuple[str, ...] = ()
+    alike: tuple[str, ...] = ()
 
     @property
     def corner(self) -> CornerConfig:

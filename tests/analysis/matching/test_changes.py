@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.identify.writing import Change
-from bstm_daemon.analysis.matching.changes import changes_of
+from bstm_daemon.analysis.matching.changes import changes_of, learned
 from bstm_daemon.analysis.matching.coarse import CAPACITY, FILTER
 from bstm_daemon.analysis.matching.refine import NodeAccuracy
 from bstm_daemon.analysis.matching.tunables import (
@@ -122,6 +122,21 @@ def test_an_effect_is_of_the_corners_or_of_all(
         for corner in matched or ("all",)
     ]
     assert {(one.section, one.value) for one in found} == {("effect", 1400.0)}
+
+
+def test_a_corner_that_is_alike_gets_the_values(target: Target) -> None:
+    """But is none of those that the match is of."""
+    one = replace(target, corners=("FL",), alike=("FR",))
+    match = replace(match_of(one, {FADE: 0.8}), drives=[Any])
+
+    found = of(changes_of([match], one.config, "by drives"), FADE)
+
+    assert [(change.corner, change.value) for change in found] == [
+        ("FL", 0.8),
+        ("FR", 0.8),
+    ]
+    table = learned(match)
+    assert (table.corners, table.alike) == (["FL"], ["FR"])
 
 
 def test_accuracy_is_that_of_the_worst_corner(target: Target) -> None:

@@ -24,6 +24,28 @@ def test_or_each_by_itself(config: Config) -> None:
     assert [one.corners for one in found] == [("FL",), ("FR",)]
 
 
+def test_a_corner_like_a_measured_one_is_alike(config: Config) -> None:
+    """Of the same axle, on whatever circuit; by itself no corner is."""
+    left, right, *rear = config.corner
+    assert [one.name for one in config.corner] == ["FL", "FR", "RL", "RR"]
+    diagonal = right.model_copy(update={"circuit": "secondary"})
+    same = [left.model_copy(update={"name": one.name}) for one in rear]
+    config = config.model_copy(update={"corner": [left, diagonal, *same]})
+
+    def alike(*measured: str, each: bool = False) -> list[tuple[str, ...]]:
+        return [one.alike for one in targets_of(config, measured, each=each)]
+
+    assert alike("FL") == [("FR",)]
+    assert alike("FR") == [("FL",)]
+    assert alike("FL", "FR") == [()]
+    assert alike("FL", each=True) == [()]
+    thicker = right.model_copy(
+        update={"pad": right.pad.model_copy(update={"thickness_m": 0.02})}
+    )
+    config = config.model_copy(update={"corner": [left, thicker, *rear]})
+    assert alike("FL") == [()]
+
+
 def test_drives_without_a_thermocouple_are_refused() -> None:
     """The message names the drives and what they lack."""
     config, _ = load_vehicle(shipped_file("config/example_vehicle.toml"))
