@@ -108,6 +108,23 @@ def test_less_water_is_less_risk() -> None:
     assert probabilities[2] > probabilities[1] + 0.1 > 0.2
 
 
+def test_what_nobody_matched_is_less_certain() -> None:
+    """As in the live forecast."""
+    config = car()
+    unset = config.forecast.model_copy(update={"uncertainty": None})
+    unmatched = config.model_copy(update={"forecast": unset})
+
+    sure_k, open_k = (
+        outlook(one, Estimator(one, {}, history_known=True), saved_with(5.0))
+        .corners[0]
+        .risk.fluid_deviation_k
+        for one in (config, unmatched)
+    )
+
+    assert open_k == pytest.approx(6.0 * sure_k)
+    assert sure_k > 4.0
+
+
 def test_an_unknown_start_is_told_by_the_hot_bound() -> None:
     """Its temperature, and twice as uncertain."""
     known, unknown = seen(0.5), seen(0.5, known=False)
