@@ -28,6 +28,9 @@ WEAR_LIMIT_M3_J: Final = 2e-11
 4411-1993, allows a lining 0.5e-13 at 100 degC and 3.5e-13 at 350 degC; the
 limit is fifty times that, for poor linings and drives that stand for many."""
 
+AT_FLUID: Final = frozenset({"fluid", "caliper"})
+"""A match that compared one of these nodes knows the way of the heat there."""
+
 ALIKE, UNMATCHED = 3.0, 6.0
 """Factors on what is unknown of a matched model, whose fluid has 3.6 % of its
 rise: a brake that is alike on paper differs by a tenth in friction and air; a
@@ -108,6 +111,11 @@ class MatchedConfig(Section):
     """fitted drives"""
     left_out: str = ""
     """drives left out in turn, to judge the fit"""
+
+    @property
+    def knows_fluid(self) -> bool:
+        """Whether the way of the heat to the fluid was compared."""
+        return not AT_FLUID.isdisjoint(self.form_k)
 
     def _check(self) -> None:
         count = len(self.names)

@@ -482,14 +482,10 @@ class Config(Section):
         """Return the factor on what is unknown of the model of *corner*."""
         if (given := self.forecast.uncertainty) is not None:
             return given
-        if self.matched_of(corner) is not None:
-            return 1.0
-        alike = self.has_values_of_another(corner)
-        return estimates.ALIKE if alike else estimates.UNMATCHED
-
-    def has_values_of_another(self, corner: str) -> bool:
-        """Whether *corner* got what was matched at one like it."""
-        return any(corner in one.alike for one in self.matched)
+        for one in self.matched:
+            if one.knows_fluid and corner in (*one.corners, *one.alike):
+                return 1.0 if corner in one.corners else estimates.ALIKE
+        return estimates.UNMATCHED
 
     def disc_corners(self) -> list[CornerConfig]:
         """List the corners that have a thermal model."""

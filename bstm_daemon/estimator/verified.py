@@ -94,8 +94,6 @@ NOTHING: Final = "nothing: unverified, its corners are degraded"
 THERMOCOUPLES: Final = "measured temperatures"
 MATCH: Final = "its match"
 STATED: Final = "[forecast] uncertainty"
-AT_FLUID: Final = frozenset({"fluid", "caliper"})
-"""A match that compared one of these nodes knows the way of the heat there."""
 
 
 def inputs_of(config: Config, roles: Collection[str]) -> tuple[Input, ...]:
@@ -151,10 +149,7 @@ def verified_by(
     if mode == "measured" and _is_compared(roles, corner):
         found[Input.TEMPERATURE] = (THERMOCOUPLES,)
     seen = f"temp_{corner.lower()}_fluid" in roles
-    found[Input.FLUID] = (
-        *_known_by(config, corner),
-        *(THERMOCOUPLES,) * seen,
-    )
+    found[Input.FLUID] = _known_by(config, corner) + (THERMOCOUPLES,) * seen
     return found
 
 
@@ -162,7 +157,7 @@ def _known_by(config: Config, corner: str) -> tuple[str, ...]:
     """Return what knows the way of the heat to the fluid of *corner*."""
     for one in config.matched:
         if corner in (*one.corners, *one.alike):
-            return (MATCH,) * (not AT_FLUID.isdisjoint(one.form_k))
+            return (MATCH,) * one.knows_fluid
     return (STATED,) * (config.forecast.uncertainty is not None)
 
 

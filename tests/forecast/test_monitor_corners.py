@@ -228,7 +228,12 @@ def test_what_was_not_matched_is_less_certain() -> None:
     """A matched corner, one alike and one that was not, the same inside."""
     watched = Watched("FL", "FR", "RL")
     known = MatchedConfig(
-        corners=["FL"], alike=["FR"], names=[], values=[], factor=[]
+        corners=["FL"],
+        alike=["FR"],
+        names=[],
+        values=[],
+        factor=[],
+        form_k={"fluid": 1.0},
     )
     unset = watched.config.forecast.model_copy(update={"uncertainty": None})
     watched.config = watched.config.model_copy(
@@ -248,7 +253,9 @@ def test_what_was_not_matched_is_less_certain() -> None:
     sure, open_ = found["FL"].probability, found["RL"].probability
     assert sure < 1e-3
     assert open_ > 0.01
-    assert watched.config.uncertainty_of("RL") == 6.0
+    blind = known.model_copy(update={"form_k": {"disc": 1.0}})
+    of_disc = watched.config.model_copy(update={"matched": [blind]})
+    assert of_disc.uncertainty_of("FL") == 6.0
     given = unset.model_copy(update={"uncertainty": 2.0})
     told = watched.config.model_copy(update={"forecast": given})
     assert [told.uncertainty_of(one) for one in ("FL", "RL")] == [2.0, 2.0]

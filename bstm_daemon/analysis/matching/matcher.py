@@ -62,7 +62,7 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.analysis.statistics.series import rms
-from bstm_daemon.estimator.verified import AT_FLUID
+from bstm_daemon.config.estimates import AT_FLUID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
