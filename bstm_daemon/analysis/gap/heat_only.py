@@ -23,7 +23,12 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
 from bstm_daemon.analysis.gap.force_balance import ForceComparison
 from bstm_daemon.analysis.gap.forces import Forces
-from bstm_daemon.analysis.gap.naming import Naming, name_effect
+from bstm_daemon.analysis.gap.naming import (
+    CLEARLY,
+    NONE_ALONE,
+    Naming,
+    name_effect,
+)
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
@@ -113,6 +118,23 @@ class ForceGap:
         return Entries(effects)
 
 
+def beside_unnamed(naming: Naming, unnamed: Naming) -> Naming:
+    """Return *naming*, or what friction without a name says.
+
+    Args:
+        naming: by the catalogue alone, nothing or unknown.
+        unnamed: the same beside friction without a name. Without evidence of
+            that, what no effect explains alone is nothing: mass and torque,
+            each off a little, together imitate the friction of any car.
+    """
+    if unnamed.answer == "unknown" and unnamed.unknown_evidence > CLEARLY:
+        return unnamed
+    if naming.reason == NONE_ALONE:
+        nothing = naming.odds[""]
+        return naming.answered("nothing", (), nothing, NOTHING_SEEN)
+    return naming
+
+
 def find_force_gap(
     config: Config,
     recordings: Sequence[Recording],
@@ -139,8 +161,7 @@ def find_force_gap(
         naming = replace(naming, reason=NOTHING_SEEN)
     if naming.answer in {"nothing", "unknown"}:
         beyond = replace(known, unknown=unnamed_friction(comparison))
-        unnamed = name_effect(comparison.layout, beyond)
-        naming = unnamed if unnamed.answer == "unknown" else naming
+        naming = beside_unnamed(naming, name_effect(comparison.layout, beyond))
     seen = {}
     for one in naming.candidates:
         if one.reach <= WEAK:

@@ -80,6 +80,8 @@ second share is of several: two or three can imitate much of one that the
 catalogue lacks. Where forms alone differ, as they do of every real effect,
 right ones reach 0.92 with as much left (`docs/evidence-gap.md`)."""
 
+NONE_ALONE: Final = "no effect of the catalogue alone explains it"
+
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak
 against an effect."""
@@ -215,8 +217,7 @@ def _unnamed(
     if missing < SOMETHING:
         return nothing
     if of_one < max(ways) - CLEARLY:
-        reason = "no effect of the catalogue alone explains it"
-        return nothing.answered("unknown", (), missing, reason)
+        return nothing.answered("unknown", (), missing, NONE_ALONE)
     members, _ = _likeliest(nothing, SURE * (1.0 - nothing.odds[""]))
     best = next(s for s in linearised.signatures if s.name == found[0].name)
     weighed = replace(

@@ -26,11 +26,12 @@ from bstm_daemon.analysis.gap.heat_only import (
     NOTHING_SEEN,
     ForceGap,
     _at_bound,
+    beside_unnamed,
     find_force_gap,
     learned_forces,
     linearised,
 )
-from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.naming import NONE_ALONE, Naming
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.bus.signals.columns import Events
@@ -493,3 +494,30 @@ def test_a_change_has_bounds_of_its_own() -> None:
     assert not _at_bound(name, -3.9)
     assert _at_bound(name, -4.0)
     assert _at_bound(name, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "evidence", "reason", "expected"),
+    [
+        ("unknown", 3.0, NONE_ALONE, "of friction"),
+        # two errors of inputs together, and nothing of friction
+        ("unknown", -3.0, NONE_ALONE, "nothing"),
+        ("unknown", 0.9, NONE_ALONE, "nothing"),
+        ("nothing", 3.0, NONE_ALONE, "nothing"),
+        # a name that was refused stays so
+        ("unknown", -3.0, "four times its typical size", "by the catalogue"),
+    ],
+)
+def test_forces_are_unknown_by_friction_without_a_name_alone(
+    answer: Any, evidence: float, reason: str, expected: str
+) -> None:
+    naming = Naming("unknown", (), 0.96, (), {"": 0.3}, reason)
+    unnamed = replace(naming, answer=answer, unknown_evidence=evidence)
+
+    found = beside_unnamed(naming, unnamed)
+
+    if expected == "nothing":
+        assert (found.answer, found.probability) == ("nothing", 0.3)
+        assert found.reason == NOTHING_SEEN
+    else:
+        assert found is (unnamed if expected == "of friction" else naming)
