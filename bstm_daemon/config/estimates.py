@@ -31,11 +31,13 @@ limit is fifty times that, for poor linings and drives that stand for many."""
 AT_FLUID: Final = frozenset({"fluid", "caliper"})
 """A match that compared one of these nodes knows the way of the heat there."""
 
-ALIKE, UNMATCHED = 3.0, 6.0
-"""Factors on what is unknown of a matched model, whose fluid has 3.6 % of its
-rise: a brake that is alike on paper differs by a tenth in friction and air; a
-drawing alone leaves twelve times as much (docs/risk.md), half of it because
-its estimate is degraded."""
+ALIKE: Final = 3.0
+"""Factor on what is unknown of a matched model, whose fluid has 3.6 % of its
+rise: brakes that are alike on paper differ by a tenth in friction and air."""
+
+UNMATCHED: Final = 6.0
+"""The same of a drawing alone; its estimate is degraded besides, which
+doubles it (docs/risk.md)."""
 
 USUAL_DRIFT_K: Final = 1.0
 """Drift of a thermocouple that the accuracy of models includes already."""

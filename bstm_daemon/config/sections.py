@@ -482,10 +482,16 @@ class Config(Section):
         """Return the factor on what is unknown of the model of *corner*."""
         if (given := self.forecast.uncertainty) is not None:
             return given
-        for one in self.matched:
-            if one.knows_fluid and corner in (*one.corners, *one.alike):
-                return 1.0 if corner in one.corners else estimates.ALIKE
-        return estimates.UNMATCHED
+        one = self.source_of(corner)
+        if one is None or not one.knows_fluid:
+            return estimates.UNMATCHED
+        return 1.0 if corner in one.corners else estimates.ALIKE
+
+    def source_of(self, corner: str) -> estimates.MatchedConfig | None:
+        """Return the match of *corner*, else of one alike, None without."""
+        return self.matched_of(corner) or next(
+            (one for one in self.matched if corner in one.alike), None
+        )
 
     def disc_corners(self) -> list[CornerConfig]:
         """List the corners that have a thermal model."""

@@ -93,6 +93,7 @@ what a sound model may be off by hides a tenth of the heat."""
 NOTHING: Final = "nothing: unverified, its corners are degraded"
 THERMOCOUPLES: Final = "measured temperatures"
 MATCH: Final = "its match"
+MATCH_ALIKE: Final = "the match of a corner like it"
 STATED: Final = "[forecast] uncertainty"
 
 
@@ -155,10 +156,11 @@ def verified_by(
 
 def _known_by(config: Config, corner: str) -> tuple[str, ...]:
     """Return what knows the way of the heat to the fluid of *corner*."""
-    for one in config.matched:
-        if corner in (*one.corners, *one.alike):
-            return (MATCH,) * one.knows_fluid
-    return (STATED,) * (config.forecast.uncertainty is not None)
+    one = config.source_of(corner)
+    if one is None:
+        return (STATED,) * (config.forecast.uncertainty is not None)
+    match = MATCH if corner in one.corners else MATCH_ALIKE
+    return (match,) * one.knows_fluid
 
 
 def _is_compared(roles: Collection[str], corner: str) -> bool:

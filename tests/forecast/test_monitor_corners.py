@@ -256,6 +256,10 @@ def test_what_was_not_matched_is_less_certain() -> None:
     blind = known.model_copy(update={"form_k": {"disc": 1.0}})
     of_disc = watched.config.model_copy(update={"matched": [blind]})
     assert of_disc.uncertainty_of("FL") == 6.0
+    # its own match counts, whatever it had of another before
+    own = known.model_copy(update={"corners": ["FR"], "alike": []})
+    both = watched.config.model_copy(update={"matched": [known, own]})
+    assert both.uncertainty_of("FR") == 1.0
     given = unset.model_copy(update={"uncertainty": 2.0})
     told = watched.config.model_copy(update={"forecast": given})
     assert [told.uncertainty_of(one) for one in ("FL", "RL")] == [2.0, 2.0]
