@@ -94,6 +94,7 @@ have differs tenfold."""
 
 BRACKET_LOSS: Final = f"{EFFECT}.bracket_conduction.loss_w_k"
 AIR_AT_REST: Final = f"{EFFECT}.local_air.parked_w_k"
+IN_BORE: Final = f"{EFFECT}.caliper_fluid_split.fluid_capacity_j_k"
 
 MADE_IN_PADS: Final = (0.5, 0.8)
 """Largest share of the friction heat that the pads' side of the contact makes,
@@ -206,6 +207,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable(AIR_AT_REST, 1.0, 100.0, 0.5, "W/K"),
         # to the wind, and to the knuckle, which is warm
         Tunable(BRACKET_LOSS, 0.05, 10.0, 0.7, "W/K"),
+        # from fluid alone to steel pistons with the walls of their bores
+        Tunable(IN_BORE, 20.0, 2000.0, 0.7, "J/K"),
     )
 }
 """Every tunable by its key."""

@@ -32,6 +32,7 @@ from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.tunables import (
     AIR_AT_REST,
     BRACKET_LOSS,
+    IN_BORE,
     MASS,
     S_SPEEDS_MS,
     SIDES,
@@ -182,7 +183,7 @@ def test_every_value_that_can_change_has_its_words() -> None:
     built = map(strength_key, ("caliper_fluid_split", "disc_hat"))
     # factors between sides end in the values of each corner
     can = {*TUNABLES, HEAT_SCALE, *map(strength_key, on_heat)}
-    can -= {*built, AIR_AT_REST, BRACKET_LOSS, WIND, *SIDES}
+    can -= {*built, AIR_AT_REST, BRACKET_LOSS, IN_BORE, WIND, *SIDES}
 
     assert {key for kind in KINDS.values() for key in kind.keys} == can
     for kind in KINDS.values():

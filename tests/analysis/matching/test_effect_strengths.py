@@ -20,6 +20,7 @@ from bstm_daemon.analysis.matching.targets import targets_of
 from bstm_daemon.analysis.matching.tunables import (
     AIR_AT_REST,
     BRACKET_LOSS,
+    IN_BORE,
     REFINED,
     STRENGTHS,
     TUNABLES,
@@ -117,6 +118,7 @@ def test_strengths_of_what_the_structure_has_are_refined(
     assert set(refined_keys(extended)) - set(REFINED) == {
         AIR_AT_REST,
         BRACKET_LOSS,
+        IN_BORE,
         WIND,
         *map(strength_key, STRENGTHS),
     }
