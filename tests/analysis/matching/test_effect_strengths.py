@@ -48,7 +48,8 @@ ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 GAP = strength_key("gap_conduction")
 BRACKET = strength_key("bracket_conduction")
-RIGHT = {GAP: 1.8, BRACKET: 0.5}
+RIGHT = {GAP: 1.8, BRACKET: 0.5, IN_BORE: 800.0}
+SLOW_FLUID = {strength_key("caliper_fluid_split"): 3.0}
 
 ENTRIES = """
 # measured by hand
@@ -71,7 +72,7 @@ def extended(target: Target) -> Target:
 @pytest.fixture(scope="module")
 def match(extended: Target, made: Callable[..., Drive]) -> Match:
     drive = made(
-        RIGHT,
+        RIGHT | SLOW_FLUID,
         noise_k=0.3,
         target=extended,
         nodes=("disc", "pad_front", "pad_back", "fluid", "caliper"),
