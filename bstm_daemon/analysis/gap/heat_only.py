@@ -10,22 +10,24 @@ integrated out as tunables are, and the rest is the naming of
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from math import exp, expm1, log
 from typing import Final
 
 import numpy as np
 
 from bstm_daemon.analysis.gap.changes import (
     LARGEST,
+    STEP,
     either_sign,
     is_change,
     is_listed,
 )
+from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
-from bstm_daemon.analysis.gap.force_balance import ForceComparison
+from bstm_daemon.analysis.gap.force_balance import CHANGE, ForceComparison
 from bstm_daemon.analysis.gap.forces import Forces
 from bstm_daemon.analysis.gap.naming import (
     CLEARLY,
-    NONE_ALONE,
     Naming,
     name_effect,
 )
@@ -53,6 +55,11 @@ SILENT_MS2: Final = 1e-3
 
 LEARNED: Final = 1.0
 """Prior standard deviation of the strengths that describe a matched car."""
+
+FOURFOLD: Final = 3.9
+"""Of changes by forces, which are linear in it: the friction that changes has
+that many times more of what it does. That is no stand-in: a match may find a
+fifth of what is typical."""
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
@@ -118,23 +125,6 @@ class ForceGap:
         return Entries(effects)
 
 
-def beside_unnamed(naming: Naming, unnamed: Naming) -> Naming:
-    """Return *naming*, or what friction without a name says.
-
-    Args:
-        naming: by the catalogue alone, nothing or unknown.
-        unnamed: the same beside friction without a name. Without evidence of
-            that, what no effect explains alone is nothing: mass and torque,
-            each off a little, together imitate the friction of any car.
-    """
-    if unnamed.answer == "unknown" and unnamed.unknown_evidence > CLEARLY:
-        return unnamed
-    if naming.reason == NONE_ALONE:
-        nothing = naming.odds[""]
-        return naming.answered("nothing", (), nothing, NOTHING_SEEN)
-    return naming
-
-
 def find_force_gap(
     config: Config,
     recordings: Sequence[Recording],
@@ -161,7 +151,9 @@ def find_force_gap(
         naming = replace(naming, reason=NOTHING_SEEN)
     if naming.answer in {"nothing", "unknown"}:
         beyond = replace(known, unknown=unnamed_friction(comparison))
-        naming = beside_unnamed(naming, name_effect(comparison.layout, beyond))
+        unnamed = name_effect(comparison.layout, beyond)
+        if unnamed.answer == "unknown" and unnamed.unknown_evidence > CLEARLY:
+            naming = unnamed
     seen = {}
     for one in naming.candidates:
         if one.reach <= WEAK:
@@ -180,11 +172,14 @@ def find_force_gap(
     others = held_out or recordings
     before, after = _errors(config, others, strengths)
     pressed, motion = _work(comparison)
+    naming = replace(
+        naming, candidates=tuple(map(_in_logarithms, naming.candidates))
+    )
     return ForceGap(
         tuple(one.name for one in recordings),
         len(comparison.base_n),
         naming,
-        strengths,
+        {name: _logarithm(name, a) for name, a in strengths.items()},
         deviations,
         dict(sorted(seen.items(), key=lambda item: item[1])),
         unseen,
@@ -256,8 +251,12 @@ def linearised(
             unseen[name] = "changes no force of these drives"
             continue
         white = layout.whiten(change)
+        most = FOURFOLD if is_change(name) else np.inf
         found.append(
-            Signature(name, white, 0.0 * white, change, either_sign(name))
+            Signature(
+                *(name, white, 0.0 * white, change, either_sign(name)),
+                most=most,
+            )
         )
     residual = layout.whiten(comparison.base_n)
     jacobian = layout.whiten(comparison.jacobian_n)
@@ -298,6 +297,22 @@ def _strengths(
         strengths[name] = a
         deviations[name] = float(np.hypot(noise, FORM_ERROR * a))
     return strengths, deviations
+
+
+GROWTH: Final = expm1(STEP * CHANGE) / CHANGE
+"""Share by which forces have more of a change, for each unit of strength."""
+
+
+def _logarithm(name: str, linear: float) -> float:
+    """Return the strength of *name* whose factor is the *linear* one's."""
+    if not is_change(name):
+        return linear
+    least = exp(-STEP * LARGEST)
+    return log(max(1.0 + GROWTH * linear, least)) / STEP
+
+
+def _in_logarithms(one: Candidate) -> Candidate:
+    return replace(one, strength=_logarithm(one.name, one.strength))
 
 
 def _bounds(name: str) -> tuple[float, float]:

@@ -19,7 +19,6 @@ from bstm_daemon.analysis.gap.signatures import Linearised
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
-    mean_evidence,
 )
 from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
 
@@ -150,19 +149,6 @@ class _Search:
             and one.z >= NEXT_Z
             and one.gain >= share * self._first_gain
         )
-
-
-def pair_evidence(
-    project: Projector, linearised: Linearised, found: Sequence[Candidate]
-) -> float:
-    """Return the log Bayes factor of two effects, whichever, against none.
-
-    All pairs are as likely before data.
-    """
-    if len(linearised.signatures) < 2:
-        return -np.inf
-    *_, logs = _pairs(project, linearised, found)
-    return mean_evidence(logs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

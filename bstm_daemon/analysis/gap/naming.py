@@ -33,7 +33,6 @@ from bstm_daemon.analysis.gap.joint_effects import (
     JointEffects,
     NormalEquations,
     normal_equations,
-    pair_evidence,
     search_joint_effects,
 )
 from bstm_daemon.analysis.gap.noise import Layout
@@ -62,13 +61,13 @@ ALIKE: Final = 0.95
 tell them apart."""
 
 CLEARLY: Final = 1.0
-"""Log evidence by which two effects at once, or heat that no effect has, must
-be better before it is said that no single one explains what is missing."""
+"""Log evidence by which heat that no effect has must be better before it is
+said that no single one explains what is missing."""
 
 SOMETHING: Final = 0.88
 """Probability from which something is missing though nothing can be named:
-one effect, two that stand in for one, or heat without a name, as likely each
-before data. Effect-free cars reach 0.84 (`docs/evidence-gap.md`)."""
+one effect, or heat without a name, as likely each before data. Effect-free
+cars reach 0.84 (`docs/evidence-gap.md`)."""
 
 EXPLAINED: Final = 0.6
 EXPLAINED_TOGETHER: Final = 0.91
@@ -79,8 +78,6 @@ name is likely beside it: what else is left is noise of another form. The
 second share is of several: two or three can imitate much of one that the
 catalogue lacks. Where forms alone differ, as they do of every real effect,
 right ones reach 0.92 with as much left (`docs/evidence-gap.md`)."""
-
-NONE_ALONE: Final = "no effect of the catalogue alone explains it"
 
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak
@@ -209,15 +206,15 @@ def _unnamed(
     """Return whether anything is missing though no effect passes the gate."""
     found = nothing.candidates
     of_one = mean_evidence([one.log_evidence for one in found])
-    of_two = pair_evidence(project, linearised, found)
-    ways = [of_one, of_two]
+    ways = [of_one]
     if linearised.unknown:
         ways.append(nothing.unknown_evidence)
     missing = missing_probability(ways)
     if missing < SOMETHING:
         return nothing
     if of_one < max(ways) - CLEARLY:
-        return nothing.answered("unknown", (), missing, NONE_ALONE)
+        reason = "no effect of the catalogue alone explains it"
+        return nothing.answered("unknown", (), missing, reason)
     members, _ = _likeliest(nothing, SURE * (1.0 - nothing.odds[""]))
     best = next(s for s in linearised.signatures if s.name == found[0].name)
     weighed = replace(

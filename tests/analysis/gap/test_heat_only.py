@@ -10,8 +10,14 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.advising import samples_of
-from bstm_daemon.analysis.gap.evidence import Candidate
+from bstm_daemon.analysis.gap.changes import LARGEST, factor_of
+from bstm_daemon.analysis.gap.evidence import (
+    STRONGEST,
+    Candidate,
+    may_stand_in,
+)
 from bstm_daemon.analysis.gap.force_balance import (
+    CHANGE,
     COLD_C,
     FRICTION,
     ForceComparison,
@@ -22,16 +28,18 @@ from bstm_daemon.analysis.gap.force_balance import (
 from bstm_daemon.analysis.gap.forces import _motion_n, forces
 from bstm_daemon.analysis.gap.form import DAILY
 from bstm_daemon.analysis.gap.heat_only import (
+    FOURFOLD,
     LEARNED,
     NOTHING_SEEN,
     ForceGap,
     _at_bound,
-    beside_unnamed,
+    _in_logarithms,
+    _logarithm,
     find_force_gap,
     learned_forces,
     linearised,
 )
-from bstm_daemon.analysis.gap.naming import NONE_ALONE, Naming
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import Recording, recorded
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.bus.signals.columns import Events
@@ -496,28 +504,26 @@ def test_a_change_has_bounds_of_its_own() -> None:
     assert _at_bound(name, 4.0)
 
 
-@pytest.mark.parametrize(
-    ("answer", "evidence", "reason", "expected"),
-    [
-        ("unknown", 3.0, NONE_ALONE, "of friction"),
-        # two errors of inputs together, and nothing of friction
-        ("unknown", -3.0, NONE_ALONE, "nothing"),
-        ("unknown", 0.9, NONE_ALONE, "nothing"),
-        ("nothing", 3.0, NONE_ALONE, "nothing"),
-        # a name that was refused stays so
-        ("unknown", -3.0, "four times its typical size", "by the catalogue"),
-    ],
-)
-def test_forces_are_unknown_by_friction_without_a_name_alone(
-    answer: Any, evidence: float, reason: str, expected: str
+@pytest.mark.parametrize("factor", [0.5, 1.4, 4.1])
+def test_a_change_by_forces_is_told_as_the_factor_it_has(
+    factor: float,
 ) -> None:
-    naming = Naming("unknown", (), 0.96, (), {"": 0.3}, reason)
-    unnamed = replace(naming, answer=answer, unknown_evidence=evidence)
+    """Forces are linear in friction, a strength is a logarithm."""
+    name = "change.effect.friction_fade.strength"
+    half = factor_of(name, CHANGE)
+    linear = CHANGE * (factor - 1.0) / (half - 1.0)
 
-    found = beside_unnamed(naming, unnamed)
+    assert factor_of(name, _logarithm(name, linear)) == pytest.approx(factor)
+    assert _logarithm(name, -9.0) == pytest.approx(-LARGEST)
+    assert _logarithm("mass_error", linear) == linear
+    one = Candidate(name, linear, 0.1, 2.0, 1.0, 0.5)
+    assert factor_of(name, _in_logarithms(one).strength) == pytest.approx(
+        factor
+    )
 
-    if expected == "nothing":
-        assert (found.answer, found.probability) == ("nothing", 0.3)
-        assert found.reason == NOTHING_SEEN
-    else:
-        assert found is (unnamed if expected == "of friction" else naming)
+
+def test_four_times_the_fade_of_a_match_is_no_stand_in() -> None:
+    one = Candidate("change", FOURFOLD, 0.5, 20.0, 15.0, 0.5)
+
+    assert not may_stand_in(one, FOURFOLD)
+    assert may_stand_in(one, STRONGEST)
