@@ -93,7 +93,7 @@ PLACES: Final[dict[str, tuple[str, ...]]] = {
     "dragging_caliper": ("heat at pad_front", "heat at disc"),
     "extra_mass": ("brake heat",),
     "accel_offset": ("brake heat",),
-    "shim_degraded": ("pad_back to",),
+    "shim_degraded": ("pad_back to", "backplate to fluid"),
     "hammerhead_strong": ("pad_back to",),
     "pad_k_rise": ("pad_front to pad_back",),
     "engine_heat": ("heat at",),

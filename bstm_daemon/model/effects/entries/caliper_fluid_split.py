@@ -31,7 +31,7 @@ class CaliperFluidSplit(Effect):
             20.0,
             2000.0,
             160.0,
-            "fluid, half of the piston, wall of the bore",
+            "fluid, half a piston, its bore",
         ),
         Parameter("piston_w_k", "W/K", 0.5, 500.0, 4.0, "shim to fluid"),
         Parameter("finger_w_k", "W/K", 0.5, 500.0, 8.0, "finger to the body"),
