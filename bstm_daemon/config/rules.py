@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from bstm_daemon.config import sections
+from bstm_daemon.config.estimates import MatchedConfig
 from bstm_daemon.config.heat import HeatConfig, heat_mode_problems
 from bstm_daemon.config.service import E2eConfig, PublishConfig
 from bstm_daemon.config.thermal import CoolingConfig, ThermalConfig
@@ -38,6 +39,7 @@ class Draft:
     cooling: CoolingConfig | None = None
     heat: HeatConfig | None = None
     effect: list[sections.EffectConfig] = field(default_factory=list)
+    matched: list[MatchedConfig] = field(default_factory=list)
     publish: PublishConfig | None = None
     e2e: list[E2eConfig] = field(default_factory=list)
 
@@ -85,6 +87,7 @@ def problems_between(draft: Draft) -> list[str]:
         *_corner_problems(draft),
         *_heat_problems(draft),
         *_effect_problems(draft),
+        *_matched_problems(draft),
         *_publish_problems(draft),
         *(
             problem
@@ -271,6 +274,18 @@ def _effect_problems(draft: Draft) -> Iterator[str]:
                 f'[[effect]] {effect.name} corner = "{effect.corner}": '
                 f"no such [[corner]], {hint('', draft.corner_names())}"
             )
+
+
+def _matched_problems(draft: Draft) -> Iterator[str]:
+    known = draft.corner_names()
+    for one in draft.matched:
+        for key, names in ("corners", one.corners), ("alike", one.alike):
+            for name in names:
+                if name not in known:
+                    yield (
+                        f'[[matched]] {key}: "{name}" is no such [[corner]], '
+                        f"{hint('', known)}"
+                    )
 
 
 def _publish_problems(draft: Draft) -> Iterator[str]:
