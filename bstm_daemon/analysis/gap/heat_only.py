@@ -57,9 +57,9 @@ LEARNED: Final = 1.0
 """Prior standard deviation of the strengths that describe a matched car."""
 
 FOURFOLD: Final = 3.9
-"""Of changes by forces, which are linear in it: the friction that changes has
-that many times more of what it does. That is no stand-in: a match may find a
-fifth of what is typical."""
+"""Largest strength of a change by forces, linear in it: four times as
+much as matched. That is no stand-in: a match may find a fifth of what is
+typical."""
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
@@ -180,7 +180,7 @@ def find_force_gap(
         len(comparison.base_n),
         naming,
         {name: _logarithm(name, a) for name, a in strengths.items()},
-        deviations,
+        {n: a * _slope(n, strengths[n]) for n, a in deviations.items()},
         dict(sorted(seen.items(), key=lambda item: item[1])),
         unseen,
         tuple(one.name for one in others),
@@ -311,8 +311,19 @@ def _logarithm(name: str, linear: float) -> float:
     return log(max(1.0 + GROWTH * linear, least)) / STEP
 
 
+def _slope(name: str, linear: float) -> float:
+    """Return what :func:`_logarithm` makes of a small change of *linear*."""
+    if not is_change(name):
+        return 1.0
+    return GROWTH / (STEP * exp(STEP * _logarithm(name, linear)))
+
+
 def _in_logarithms(one: Candidate) -> Candidate:
-    return replace(one, strength=_logarithm(one.name, one.strength))
+    return replace(
+        one,
+        strength=_logarithm(one.name, one.strength),
+        deviation=one.deviation * _slope(one.name, one.strength),
+    )
 
 
 def _bounds(name: str) -> tuple[float, float]:

@@ -450,7 +450,9 @@ def test_effects_that_a_matched_model_has_can_change() -> None:
     change = ForceComparison(other, [recording]).base_n - comparison.base_n
     assert comparison.changed_n(name) == pytest.approx(change / 0.5)
     found, unseen = linearised(comparison)
-    assert name in unseen.keys() | {one.name for one in found.signatures}
+    most = {one.name: one.most for one in found.signatures}
+    assert most.get(name) == FOURFOLD
+    assert most["mass_error"] == np.inf
     assert "friction_pressure" not in unseen
 
 
@@ -517,9 +519,10 @@ def test_a_change_by_forces_is_told_as_the_factor_it_has(
     assert _logarithm(name, -9.0) == pytest.approx(-LARGEST)
     assert _logarithm("mass_error", linear) == linear
     one = Candidate(name, linear, 0.1, 2.0, 1.0, 0.5)
-    assert factor_of(name, _in_logarithms(one).strength) == pytest.approx(
-        factor
-    )
+    told = _in_logarithms(one)
+    assert factor_of(name, told.strength) == pytest.approx(factor)
+    ends = [_logarithm(name, linear + d) for d in (-1e-4, 1e-4)]
+    assert told.deviation == pytest.approx(0.1 * (ends[1] - ends[0]) / 2e-4)
 
 
 def test_four_times_the_fade_of_a_match_is_no_stand_in() -> None:
