@@ -19,6 +19,7 @@ from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class, effects_of
 from bstm_daemon.model.effects.composed import PREFIX as COMPOSED
 from bstm_daemon.model.effects.composed import is_composed
+from bstm_daemon.model.effects.effect import STRENGTH
 
 PREFIX: Final = "change."
 """Of the names of these candidates."""
@@ -33,23 +34,29 @@ HEAT_STEP: Final = 0.2
 """Of the heat: friction differs by less than conductances do."""
 
 LARGEST: Final = 4.0
-"""Strength of a change beyond which it is none, but something else."""
+"""Strength of a candidate beyond which it is none, but something else, unless
+physics has another end."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What can change, and the likely causes of less and of more of it."""
+    """What can change, and the likely causes of less and of more of it.
+
+    ``vanishes`` is whether it can fall to nothing.
+    """
 
     what: str
     less: str
     more: str
     keys: tuple[str, ...]
+    vanishes: bool
 
 
 KINDS: Final[dict[str, Kind]] = {
     name: Kind(
         *(one["what"], one["less"], one["more"]),
         tuple(one.get("keys", (name,))),
+        one.get("vanishes", name.startswith(EFFECT)),
     )
     for name, one in tomllib.loads(
         (Path(__file__).parent / "_data" / "changes.toml").read_text("utf-8")
@@ -115,6 +122,11 @@ def either_sign(name: str) -> bool:
     )
 
 
+def can_vanish(name: str) -> bool:
+    """Whether what the candidate *name* is a change of can be nothing."""
+    return is_change(name) and KINDS[name.removeprefix(PREFIX)].vanishes
+
+
 def are_twins(a: str, b: str) -> bool:
     """Whether one of two candidates declares the other as its twin."""
     return any(
@@ -125,9 +137,10 @@ def are_twins(a: str, b: str) -> bool:
 
 def largest(name: str) -> float:
     """Return the largest strength that the candidate *name* can have."""
-    if is_listed(name):
-        return effect_class(name).parameters()[0].upper
-    return LARGEST
+    if not is_listed(name):
+        return LARGEST
+    most = effect_class(name).most_strength
+    return LARGEST if most == STRENGTH.upper else most
 
 
 def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.changes import LARGEST, can_vanish
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
@@ -33,8 +34,11 @@ NOTHING: Final = 0.5
 PLACEBOS: Final = 20
 """Candidates that can not be: the best one's signature at other times."""
 
-STRONGEST: Final = 4.0
-STRENGTHS: Final = np.geomspace(0.05, STRONGEST, 60)
+STRENGTHS: Final = 0.05 * np.geomspace(1.0, LARGEST / 0.05, 60)[1] ** (
+    np.arange(75)
+)
+"""As many as physics has room for, the first 60 to :data:`LARGEST`."""
+
 LOG_CENTRE: Final = -0.2
 LOG_WIDTH: Final = 0.8
 """Prior of a strength: log-normal about the typical one."""
@@ -64,9 +68,8 @@ class Candidate:
 
 STAND_IN: Final = 0.15
 NEARLY: Final = 0.1
-"""A candidate that needs more than the strongest that is known, or all but a
-tenth of it, may stand in for a similar one: that share of its gain is lost.
-"""
+"""A candidate that needs more than :data:`LARGEST`, or all but a tenth of it,
+may stand in for a similar one: that share of its gain is lost."""
 
 DETECTED: Final = 3.5
 """Standard deviations that count as detected."""
@@ -104,11 +107,14 @@ def weigh(
 def may_stand_in(candidate: Candidate, most: float) -> bool:
     """Whether *candidate* is so strong that it may be something similar.
 
-    One whose largest strength *most* is lower ends where physics does.
+    One whose largest strength *most* is another ends where physics does, and
+    so does what can fall to nothing.
     """
     size = abs(candidate.strength)
     near = min(candidate.deviation, NEARLY * size)
-    return most >= STRONGEST and size + near >= STRONGEST
+    if most != LARGEST or size + near < LARGEST:
+        return False
+    return candidate.strength > 0.0 or not can_vanish(candidate.name)
 
 
 def held_back(candidate: Candidate, most: float) -> Candidate:
@@ -120,13 +126,13 @@ def held_back(candidate: Candidate, most: float) -> Candidate:
 
 
 def strength_prior(
-    most: float = np.inf, *, either_sign: bool, even: bool = False
+    most: float = LARGEST, *, either_sign: bool, even: bool = False
 ) -> tuple[Column, Column]:
     """Return strengths to *most* and their weights, log-normal, summing to 1.
 
     Both signs are as likely where that is *even*.
     """
-    grid = STRENGTHS[most >= STRENGTHS]
+    grid = STRENGTHS[most * (1.0 + 1e-9) >= STRENGTHS]
     if either_sign:
         grid = np.concatenate((-grid[::-1], grid))
     logs = (np.log(np.abs(grid)) - LOG_CENTRE) / LOG_WIDTH

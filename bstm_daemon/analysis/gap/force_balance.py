@@ -8,6 +8,7 @@ linings have another law of friction, and its sensors their errors.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,7 +22,8 @@ from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.signatures import candidates
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.matching.problem import Series
-from bstm_daemon.analysis.statistics.series import Column, runs
+from bstm_daemon.analysis.statistics.evidence import Projector
+from bstm_daemon.analysis.statistics.series import Column, Matrix, runs
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import LogError
@@ -141,11 +143,25 @@ TELLING: Final = (
 """Roles that show whether the brake is released."""
 
 FRICTION: Final = 0.08
-RESISTANCE: Final = 0.15
-PITCH: Final = 0.03
 ENGINE_MS2: Final = 0.3
-"""Priors: friction from day to day, drag and rolling, pitch [rad/g], and
-what an engine of unknown torque brakes."""
+"""Priors: friction from day to day, and what an engine of unknown torque
+brakes."""
+
+WHOLE: Final = "friction"
+STEADY: Final = {
+    "air drag": 0.15,
+    "rolling resistance": 0.15,
+    "linear resistance": 0.3,
+    "pitch": 0.03,
+    "torque lag": 0.1,
+    WHOLE: 0.3,
+}
+"""Of the car, alike on all its drives, and their priors: shares of what is
+configured; of the pitch [rad/g], and of the wheels behind the torque [s]."""
+
+SCALE: Final = "mass_error"
+"""What all forces are measured by. Were it free in a match, all of them would
+shrink together to less than the noise of their signals."""
 
 ENGINE_NM: Final = 3.0
 LOW_GEAR: Final = 10.0
@@ -166,6 +182,19 @@ QUICK_S: Final = 0.1
 
 CHANGE: Final = 0.5
 """Strength that the change of an effect of the model is tried at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tunable:
+    """What may differ beside an effect.
+
+    ``change_n`` (n,) is what it changes in the residual [N], ``prior`` its
+    standard deviation; it has no name if it is of some drives alone.
+    """
+
+    name: str
+    change_n: Column
+    prior: float
 
 
 class ForceComparison:
@@ -189,6 +218,7 @@ class ForceComparison:
             have = one.drive.roles, one.present
             check_inputs(one.name, *have, INPUTS["ff"], what)
         self.config, self.recordings = config, tuple(recordings)
+        self.known = next((m for m in config.matched if m.forces), None)
         self.vehicle = Vehicle.of_config(config.vehicle)
         self.parts = [forces(one, config) for one in recordings]
         self.kept = [_kept(one) for one in self.parts]
@@ -202,11 +232,14 @@ class ForceComparison:
         self._columns: dict[str, Column] = {}
         self._raw_n = self._residual(self.parts)
         self.trials = trials(config, ()) if config.matched else {}
-        columns, priors = self._tunables()
-        known_n, more, their_priors = self._known()
+        self.steady_n = self._steady()
+        self.tunables = self._tunables()
+        known_n, unsure = self._known()
         self.base_n = self._raw_n + known_n
-        self.jacobian_n = np.column_stack([*columns, *more])
-        self.prior = np.array([*priors, *their_priors])
+        self.tunables += unsure
+        self._noise_n = self._left_n()
+        if self.known:
+            self.tunables += self._daily()
         self.layout = self._layout()
 
     @property
@@ -241,31 +274,57 @@ class ForceComparison:
             effects, step = trial.effects_at(CHANGE), CHANGE
         config = with_effects(self.config, effects)
         parts = [forces(one, config) for one in self.recordings]
-        return (self._residual(parts) - self._raw_n) / step
+        changed_n = (self._residual(parts) - self._raw_n) / step
+        if name == SCALE:
+            # a smaller mass has less noise too: that is not less of a gap
+            share = effect_class(SCALE)({"strength": 1.0})["share"]
+            changed_n = changed_n - share * self._noise_n
+        return np.asarray(changed_n)
 
-    def _known(self) -> tuple[Column, list[Column], list[float]]:
+    def _known(self) -> tuple[Column, list[Tunable]]:
         """Return what the match knows of the residual, less than nothing.
 
-        And tunables, (n,) each, with their priors: what it does not know of
-        that, and what differs from day to day.
+        And what it does not know of that.
         """
-        none = np.zeros(len(self._raw_n))
-        known = next((m for m in self.config.matched if m.forces), None)
-        if known is None:
-            return none, [], []
-        there = {*candidates(self.config), *self.trials}
-        own = sorted(there.intersection(known.forces))
-        columns = [self.changed_n(name) for name in own]
-        priors = [known.forces_sd[name] for name in own]
-        sizes = [known.forces[name] for name in own]
-        found = sum(
-            (a * one for a, one in zip(sizes, columns, strict=True)), none
-        )
-        for name in sorted(there.intersection(DAILY)):
-            days = self._each_day(self.changed_n(name))
-            columns += days
-            priors += [DAILY[name]] * len(days)
-        return found, columns, priors
+        found = np.zeros(len(self._raw_n))
+        unsure = []
+        if known := self.known:
+            for name, column in self.steady_n.items():
+                found = found + known.forces.get(name, 0.0) * column
+            there = {*candidates(self.config), *self.trials} - {SCALE}
+            for name in sorted(there.intersection(known.forces)):
+                column = self.changed_n(name)
+                found = found + known.forces[name] * column
+                unsure.append(Tunable(name, column, known.forces_sd[name]))
+        return found, unsure
+
+    def _daily(self) -> list[Tunable]:
+        """Return by what drives of one car differ."""
+        return [
+            Tunable(name, column, DAILY[name])
+            for name in sorted(DAILY)
+            if name in candidates(self.config)
+            and effect_class(name).kind == "heat"
+            for column in self._each_day(self.changed_n(name))
+        ]
+
+    def _left_n(self) -> Column:
+        """Return what the tunables leave of the residual, (n,): noise."""
+        noise_n = LEAST_MS2 * self.vehicle.mass_kg
+        jacobian = self.jacobian_n / noise_n
+        project = Projector(jacobian, self.prior)
+        found = project.nuisance(self.base_n / noise_n)
+        return np.asarray(self.base_n + self.jacobian_n @ found)
+
+    @property
+    def jacobian_n(self) -> Matrix:
+        """What the tunables change in the residual, (n, p)."""
+        return np.column_stack([one.change_n for one in self.tunables])
+
+    @property
+    def prior(self) -> Column:
+        """Standard deviations of the tunables, (p,)."""
+        return np.array([one.prior for one in self.tunables])
 
     def _residual(self, parts: Sequence[Forces]) -> Column:
         return self._counted([one.whole_n - one.motion_n for one in parts])
@@ -279,23 +338,40 @@ class ForceComparison:
         """Return a column of the windows that count, (n,)."""
         return self._counted([getattr(one, name) for one in self.parts])
 
-    def _tunables(self) -> tuple[list[Column], list[float]]:
-        speed, mass = self.column("speed_ms"), self.vehicle.mass_kg
-        columns = [
-            *self._each_day(self.column("whole_n")),
-            self.vehicle.quadratic * speed**2,
-            np.full(len(speed), self.vehicle.constant),
-            self.vehicle.linear * speed,
-        ]
-        priors = [FRICTION] * len(columns)
-        priors[-3:] = [RESISTANCE, RESISTANCE, 2.0 * RESISTANCE]
+    def _steady(self) -> dict[str, Column]:
+        """Return each of :data:`STEADY` that acts here, (n,), by name."""
+        speed, vehicle = self.column("speed_ms"), self.vehicle
+        found = {
+            "air drag": vehicle.quadratic * speed**2,
+            "rolling resistance": np.full(len(speed), vehicle.constant),
+            "linear resistance": vehicle.linear * speed,
+        }
         if self.parts[0].has_accelerometer:
-            columns.append(mass * self.column("rate_ms2"))
-            priors.append(PITCH)
+            found["pitch"] = vehicle.mass_kg * self.column("rate_ms2")
+        if self.parts[0].known_torque:
+            found["torque lag"] = self._counted(
+                [
+                    -np.gradient(np.nan_to_num(one.driven_n), one.time_s)
+                    for one in self.parts
+                ]
+            )
+        return found | {WHOLE: self.column("whole_n")}
+
+    def _tunables(self) -> list[Tunable]:
+        """Return friction drive by drive, resistances and the engine."""
+        found = [
+            Tunable("", day, FRICTION)
+            for day in self._each_day(self.steady_n[WHOLE])
+        ]
+        found += [
+            Tunable(name, column, STEADY[name])
+            for name, column in self.steady_n.items()
+            if name != WHOLE
+        ]
         if not self.parts[0].known_torque:
-            columns.append(self._engine_n(mass))
-            priors.append(1.0)
-        return columns, priors
+            engine_n = self._engine_n(self.vehicle.mass_kg)
+            found.append(Tunable("", engine_n, 1.0))
+        return found
 
     def _each_day(self, column: Column) -> list[Column]:
         """Return *column* (n,) for each drive alone."""

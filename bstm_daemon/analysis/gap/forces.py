@@ -41,8 +41,9 @@ class Forces:
     ``pressed_n`` is of the pressure by corner, (corners, n), ``motion_n`` of
     the motion, nan where it is not known; ``first`` is the step that a window
     begins at, ``braked`` the share of the window with the pressure on,
-    ``rate_ms2`` the change of the speed, ``engine_nm`` what is known of the
-    engine where the torque at the wheels is not, else nan, ``known_torque``
+    ``rate_ms2`` the change of the speed, ``driven_n`` the force of the torque
+    at the wheels, nan where it is not known, ``engine_nm`` what is known of
+    the engine there, else nan, ``known_torque``
     whether the bus has the drive's torque, ``has_accelerometer`` whether it
     counts.
     """
@@ -55,6 +56,7 @@ class Forces:
     braked: Column
     pressed_n: Column
     motion_n: Column
+    driven_n: Column
     engine_nm: Column
     known_torque: bool
     has_accelerometer: bool
@@ -81,7 +83,9 @@ def forces(recording: Recording, config: Config) -> Forces:
     every = round(
         max(WINDOW_S, recording.drive.duration_s / MOST_WINDOWS) / GRID_S
     )
-    motion, has_accelerometer, known = _motion_n(recording, config, speed)
+    motion, driven, has_accelerometer, known = _motion_n(
+        recording, config, speed
+    )
     engine = np.full(len(speed), np.nan)
     if not known and ROLE_INDEX["engine_torque"] in recording.present:
         read = _step_means(recording, ROLE_INDEX["engine_torque"])
@@ -121,6 +125,7 @@ def forces(recording: Recording, config: Config) -> Forces:
         mean(brake_on),
         ((energy[last] - energy[first]) / length[:, None]).T,
         force,
+        mean(driven),
         mean(engine),
         known,
         has_accelerometer,
@@ -134,10 +139,11 @@ def _running(rate: Column) -> Column:
 
 def _motion_n(
     recording: Recording, config: Config, speed: Column
-) -> tuple[Column, bool, bool]:
+) -> tuple[Column, Column, bool, bool]:
     """Return Eq 4.11 whether the brake is on or not, (steps,).
 
-    And whether the accelerometer is used, and whether torque is known.
+    And the force of the torque, whether the accelerometer is used, and
+    whether torque is known.
     """
     edited = edited_inputs(config)
     vehicle = Vehicle.of_config(edited.config.vehicle)
@@ -162,7 +168,8 @@ def _motion_n(
         torque = np.full(len(speed), np.nan if assumed is None else assumed)
     rate = np.gradient(speed, GRID_S) if len(speed) > 1 else 0.0 * speed
     drag = (vehicle.quadratic * speed + vehicle.linear) * speed
-    force = torque / vehicle.wheel_radius_m - drag - vehicle.constant
+    driven = torque / vehicle.wheel_radius_m
+    force = driven - drag - vehicle.constant
     if external is not None:
         force = force + external
     if accel_ms2 is None:
@@ -174,7 +181,7 @@ def _motion_n(
         acting = held(role)
         if acting is not None:
             force = np.where(acting > 0.0, np.nan, force)
-    return force, accel_ms2 is not None, known
+    return force, driven, accel_ms2 is not None, known
 
 
 def _step_means(recording: Recording, number: int) -> Column | None:

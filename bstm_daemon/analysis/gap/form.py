@@ -23,10 +23,11 @@ DAILY: Final = {
     "accelerometer_bias": 1.2,
     "mass_error": 0.7,
     "powertrain_torque_error": 0.5,
+    "clock_offset": 0.1,
 }
 """Strengths by which drives of one car differ, standard deviations: the zero
-of an accelerometer by 0.1 m/s2, the load by 4 %, the torque by 4 %. Less than
-that is neither missing nor a change since the match."""
+of an accelerometer by 0.1 m/s2, the load by 4 %, the torque by 4 %, clocks by
+0.1 s. Less than that is neither missing nor a change since the match."""
 
 
 def with_form(
@@ -91,17 +92,25 @@ def form_k(comparison: Comparison, simulated: Sensed) -> Column:
     )
 
 
-def daily(simulated: Sensed) -> tuple[Column, Column]:
+def daily(comparison: Comparison, simulated: Sensed) -> tuple[Column, Column]:
     """Return what differs from day to day in :data:`DAILY`, (n, k), and how.
 
-    The second are standard deviations (k,).
+    Each drive by its own, in each form. The second are standard deviations
+    (k,).
     """
-    there = [name for name in DAILY if name in simulated.terms_k]
-    columns = [simulated.terms_k[name].sum(axis=0) for name in there]
-    return (
-        np.column_stack((np.zeros((len(simulated.base_k), 0)), *columns)),
-        np.array([DAILY[name] for name in there]),
-    )
+    count = np.diff(comparison.edges)
+    drive = np.repeat([one.drive for one in comparison.series], count)
+    columns, deviations = [np.zeros((len(drive), 0))], []
+    for name, deviation in DAILY.items():
+        terms = simulated.terms_k.get(name)
+        if terms is None:
+            continue
+        for form in (terms, *simulated.forms_k.get(name, ())):
+            for one in np.unique(drive):
+                own = np.where(drive == one, form.sum(axis=0), 0.0)
+                columns.append(own[:, None])
+                deviations.append(deviation)
+    return np.hstack(columns), np.array(deviations)
 
 
 def _terms_k(simulated: Sensed) -> dict[str, Column]:

@@ -21,10 +21,16 @@ from bstm_daemon.analysis.gap.changes import (
     either_sign,
     is_change,
     is_listed,
+    largest,
 )
 from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
-from bstm_daemon.analysis.gap.force_balance import CHANGE, ForceComparison
+from bstm_daemon.analysis.gap.force_balance import (
+    CHANGE,
+    SCALE,
+    STEADY,
+    ForceComparison,
+)
 from bstm_daemon.analysis.gap.forces import Forces
 from bstm_daemon.analysis.gap.naming import (
     CLEARLY,
@@ -198,16 +204,17 @@ def learned_forces(
 ) -> dict[str, tuple[float, float]]:
     """Return by what pressure and motion differ on the drives of a match.
 
-    All effects on the heat at once, none of them believed: together they
-    describe the friction of this car and its sensors.
+    All effects on the heat at once, none of them believed, and all of
+    :data:`STEADY`: together they describe the friction of this car, its
+    resistances and its sensors.
 
     Args:
         config: the vehicle as matched.
         recordings: the drives.
 
     Returns:
-        Strength and standard deviation by effect; none where a drive shows
-        no force, or no pressure.
+        Strength and standard deviation by name; none where a drive shows no
+        force, or no pressure.
     """
     matched = [one.model_copy(update={"forces": {}}) for one in config.matched]
     config = config.model_copy(update={"matched": matched})
@@ -216,16 +223,25 @@ def learned_forces(
     except LogError:
         return {}
     known, _ = linearised(comparison)
-    if not known.signatures:
+    named = [one for one in known.signatures if one.name != SCALE]
+    if not named:
         return {}
-    columns = np.column_stack([one.linear for one in known.signatures])
-    project = Projector(known.jacobian, comparison.prior)
-    terms = fit_terms(project, known.residual, columns, LEARNED)
+    columns = [one.linear for one in named]
+    scales = dict.fromkeys((one.name for one in named), 1.0)
+    for name, column_n in comparison.steady_n.items():
+        scales[name] = STEADY[name]
+        columns.append(comparison.layout.whiten(STEADY[name] * column_n))
+    # what is alike on all drives is learned: the days and an engine are left
+    apart = [one.name not in STEADY for one in comparison.tunables]
+    project = Projector(known.jacobian[:, apart], comparison.prior[apart])
+    terms = fit_terms(
+        project, known.residual, np.column_stack(columns), LEARNED
+    )
     deviations = np.sqrt(np.diag(terms.covariance))
     return {
-        one.name: (short(strength), short(deviation))
-        for one, strength, deviation in zip(
-            known.signatures,
+        name: (short(scale * strength), short(scale * deviation))
+        for (name, scale), strength, deviation in zip(
+            scales.items(),
             terms.strengths.tolist(),
             deviations.tolist(),
             strict=True,
@@ -251,7 +267,7 @@ def linearised(
             unseen[name] = "changes no force of these drives"
             continue
         white = layout.whiten(change)
-        most = FOURFOLD if is_change(name) else np.inf
+        most = FOURFOLD if is_change(name) else largest(name)
         found.append(
             Signature(
                 *(name, white, 0.0 * white, change, either_sign(name)),

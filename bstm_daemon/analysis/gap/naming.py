@@ -273,12 +273,17 @@ def _named(
             f"{how} {100 * explained:.0f} % of what all together could"
         )
     most = {one.name: one.most for one in linearised.signatures}
-    for one in several.chosen:
-        if may_stand_in(one, most[one.name]):
-            return unknown(
-                f"{one.name} would be {abs(one.strength):.1f} times its "
-                "typical size: rather something similar"
-            )
+    first, *further = several.chosen
+    if may_stand_in(first, most[first.name]):
+        return unknown(
+            f"{first.name} would be {abs(first.strength):.1f} times its "
+            "typical size: rather something similar"
+        )
+    unsure = {one.name for one in further if may_stand_in(one, most[one.name])}
+    several = replace(
+        several,
+        sure=tuple(name for name in several.sure if name not in unsure),
+    )
     if placebo > best.z:
         reason = f"{best.name} at other times than its own explains as much"
         return common.answered(

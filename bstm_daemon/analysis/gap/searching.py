@@ -49,7 +49,7 @@ def search(
     jacobian_k = simulated.jacobian_k @ basis
     prior = prior_along(comparison, basis)
     if comparison.matched:
-        columns_k, deviations = daily(simulated)
+        columns_k, deviations = daily(comparison, simulated)
         jacobian_k = np.column_stack((jacobian_k, columns_k))
         prior = np.concatenate((prior, deviations))
     turned = replace(

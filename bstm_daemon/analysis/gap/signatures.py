@@ -16,13 +16,14 @@ from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import STEP as STEP_OF_CHANGE
 from bstm_daemon.analysis.gap.changes import (
+    LARGEST,
     either_sign,
     is_change,
     largest,
     strength_of,
 )
+from bstm_daemon.analysis.gap.changes import STEP as STEP_OF_CHANGE
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.residual_heat import REGIMES
@@ -89,7 +90,7 @@ class Signature:
     either_sign: bool
     even: bool = False
     near: float = 1.0
-    most: float = np.inf
+    most: float = LARGEST
     form_cost: float = 0.0
 
     @property

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap.changes import LARGEST
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     cross_validated,
     explained_share,
     held_back,
+    may_stand_in,
     missing_evidence,
     missing_probability,
     probabilities,
@@ -90,26 +92,54 @@ def test_a_strength_stays_within_what_physics_allows() -> None:
 @pytest.mark.parametrize(
     ("strength", "deviation", "most", "share"),
     [
-        (4.0, 0.1, 10.0, 0.15),
-        (-3.8, 0.3, 10.0, 0.15),
-        (3.6, 0.35, 10.0, 0.0),
-        (3.6, 2.0, 10.0, 0.0),
-        (3.7, 2.0, 10.0, 0.15),
-        (3.0, 9.0, 10.0, 0.0),
+        (4.0, 0.1, LARGEST, 0.15),
+        (-3.8, 0.3, LARGEST, 0.15),
+        (3.6, 0.35, LARGEST, 0.0),
+        (3.6, 2.0, LARGEST, 0.0),
+        (3.7, 2.0, LARGEST, 0.15),
+        (3.0, 9.0, LARGEST, 0.0),
         (2.4, 0.3, 2.5, 0.0),
         (3.9, 0.3, 3.95, 0.0),
+        (8.0, 0.3, 10.0, 0.0),
     ],
 )
 def test_what_would_be_stronger_than_any_counts_less(
     strength: float, deviation: float, most: float, share: float
 ) -> None:
-    """A tenth beyond at the most; not where physics ends before."""
+    """A tenth beyond at the most; not where physics ends elsewhere."""
     one = Candidate("caliper_bypass", strength, deviation, 60.0, 50.0, 1.0)
 
     counted = held_back(one, most)
 
     assert counted.log_evidence == pytest.approx(50.0 - share * 60.0)
     assert counted.gain == one.gain
+
+
+@pytest.mark.parametrize(
+    ("name", "stands_in"),
+    [
+        ("change.shim_resistance", False),
+        ("change.effect.friction_fade.strength", False),
+        ("change.disc_mass", True),
+        ("caliper_bypass", True),
+    ],
+)
+def test_what_can_fall_to_nothing_is_no_stand_in(
+    name: str, *, stands_in: bool
+) -> None:
+    less = Candidate(name, -LARGEST, 0.3, 60.0, 50.0, 1.0)
+
+    assert may_stand_in(less, LARGEST) == stands_in
+    assert may_stand_in(replace(less, strength=LARGEST), LARGEST)
+
+
+def test_strengths_are_tried_as_far_as_physics_has_room() -> None:
+    usual, _ = strength_prior(either_sign=False)
+    wide, _ = strength_prior(10.0, either_sign=True)
+
+    assert usual[[0, -1]] == pytest.approx([0.05, LARGEST])
+    assert wide.max() == -wide.min() == pytest.approx(10.0, rel=0.05)
+    assert np.isin(usual, wide).all()
 
 
 def test_one_of_usual_strength_is_named_before_a_stand_in(
@@ -553,7 +583,8 @@ def test_each_drive_is_weighed_by_what_the_others_leave_open(
 def test_strengths_are_log_normal_about_the_typical_one() -> None:
     """exp(-0.2), and of both signs the typical one thrice as likely."""
     grid, weights = strength_prior(either_sign=False)
-    assert (grid[0], grid[-1], len(grid)) == (0.05, 4.0, 60)
+    assert grid[[0, -1]] == pytest.approx([0.05, 4.0])
+    assert len(grid) == 60
     assert weights.sum() == pytest.approx(1.0)
     assert grid[np.argmax(weights)] == pytest.approx(np.exp(-0.2), rel=0.04)
     at_one, at_most = np.argmin(np.abs(grid - 1.0)), -1

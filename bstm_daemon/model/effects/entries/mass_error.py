@@ -18,6 +18,7 @@ class MassError(Effect):
     signature = "All heat, braking, most in stops from speed."
     twins = ("powertrain_torque_error", "brake_share")
     either_sign = True
+    most_strength = 10.0  # a trailer of half the car's mass
     own_parameters = (
         Parameter("share", "1", 0.0, 0.6, 0.06, "of the configured mass"),
     )
