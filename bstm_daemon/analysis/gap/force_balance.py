@@ -149,15 +149,16 @@ brakes."""
 
 WHOLE: Final = "friction"
 STEADY: Final = {
-    "air drag": 0.15,
-    "rolling resistance": 0.15,
-    "linear resistance": 0.3,
-    "pitch": 0.03,
-    "torque lag": 0.1,
-    WHOLE: 0.3,
+    "air drag": (0.15, 0.15),
+    "rolling resistance": (0.15, 0.15),
+    "linear resistance": (0.3, 0.3),
+    "pitch": (0.03, 0.01),
+    "torque lag": (0.1, 0.02),
+    WHOLE: (0.3, FRICTION),
 }
-"""Of the car, alike on all its drives, and their priors: shares of what is
-configured; of the pitch [rad/g], and of the wheels behind the torque [s]."""
+"""Of the car, alike on all its drives: priors where no match knows it, and of
+a drive about what a match knows. Shares of what is configured; of the pitch
+[rad/g], and of the wheels behind the torque [s]."""
 
 SCALE: Final = "mass_error"
 """What all forces are measured by. Were it free in a match, all of them would
@@ -364,7 +365,7 @@ class ForceComparison:
             for day in self._each_day(self.steady_n[WHOLE])
         ]
         found += [
-            Tunable(name, column, STEADY[name])
+            Tunable(name, column, STEADY[name][self.known is not None])
             for name, column in self.steady_n.items()
             if name != WHOLE
         ]

@@ -21,12 +21,12 @@ from bstm_daemon.config.estimates import MatchedConfig
 
 DAILY: Final = {
     "accelerometer_bias": 1.2,
-    "mass_error": 0.7,
+    "mass_error": 0.5,
     "powertrain_torque_error": 0.5,
     "clock_offset": 0.1,
 }
 """Strengths by which drives of one car differ, standard deviations: the zero
-of an accelerometer by 0.1 m/s2, the load by 4 %, the torque by 4 %, clocks by
+of an accelerometer by 0.1 m/s2, the load by 3 %, the torque by 4 %, clocks by
 0.1 s. Less than that is neither missing nor a change since the match."""
 
 

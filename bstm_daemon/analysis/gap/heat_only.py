@@ -229,8 +229,8 @@ def learned_forces(
     columns = [one.linear for one in named]
     scales = dict.fromkeys((one.name for one in named), 1.0)
     for name, column_n in comparison.steady_n.items():
-        scales[name] = STEADY[name]
-        columns.append(comparison.layout.whiten(STEADY[name] * column_n))
+        scales[name], _ = STEADY[name]
+        columns.append(comparison.layout.whiten(scales[name] * column_n))
     # what is alike on all drives is learned: the days and an engine are left
     apart = [one.name not in STEADY for one in comparison.tunables]
     project = Projector(known.jacobian[:, apart], comparison.prior[apart])
