@@ -364,8 +364,13 @@ def test_what_the_match_saw_is_taken_off_and_its_doubt_left_open() -> None:
     days = [found.changed_n(name) for name in daily]
     own = found.jacobian_n[:, plain.jacobian_n.shape[1] :]
     assert own == pytest.approx(np.column_stack([column, *days]))
-    assert found.prior == pytest.approx(
-        [*plain.prior, 0.05, *(DAILY[name] for name in daily)]
+    steady = [one.name for one in plain.tunables if one.name in STEADY]
+    assert steady == [name for name in STEADY if name != "friction"]
+    for one, which in (plain, 0), (found, 1):
+        priors = [FRICTION, *(STEADY[name][which] for name in steady)]
+        assert one.prior[: len(priors)] == pytest.approx(priors)
+    assert found.prior[len(plain.prior) :] == pytest.approx(
+        [0.05, *(DAILY[name] for name in daily)]
     )
     assert np.array_equal(found.layout.prior, found.prior)
 
