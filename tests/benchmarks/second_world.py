@@ -36,7 +36,11 @@ import numpy as np
 from measurements import markdown
 
 import bstm_daemon
+from bstm_daemon.analysis.gap.recording import read_recording
+from bstm_daemon.analysis.gap.workflow import compare
+from bstm_daemon.analysis.matching.targets import measured_targets
 from bstm_daemon.api import load_config, replay
+from bstm_daemon.cli.vehicle import load_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -119,10 +123,14 @@ DETECTABLE: Final = 3.0
 the matched control is off there, both as RMS against the truth."""
 
 
+SHRINKS: Final = ("as configured", "heat and cooling re-fitted")
+
 HEADER: Final = (
     *("car", "hidden", "detectable", "answer", "worth"),
-    *("shrink, as configured", "heat and cooling re-fitted"),
+    *(f"shrink, {SHRINKS[0]}", "limit", SHRINKS[1], "limit"),
 )
+"""The limit is the shrink of a model that errs with the effect no more than
+the matched one without it."""
 
 
 DRIVES: Final = (
@@ -162,6 +170,7 @@ class World:
             sys.exit("BSTM_SECOND_WORLD: set it to the simulator's folder")
         self.where, self.folder = Path(where), folder
         self.python = os.environ.get("BSTM_SECOND_WORLD_PYTHON", "python3")
+        self.leaves: dict[int, dict[tuple[str, str], tuple[float, int]]] = {}
 
     def run(self, script: str, *arguments: str) -> None:
         """Run one of its scripts."""
@@ -242,6 +251,40 @@ class World:
                 own = np.interp(truth["t"], changed["t"], changed[node])
                 worst = max(worst, rms(own - truth[node]) / off_k)
         return worst >= DETECTABLE
+
+    def limits(self, case: Case, found: dict[str, Any]) -> list[str]:
+        """Return by how much a gap as *found* can shrink at the most."""
+        left = self.left(case.seed)
+        errors = [
+            (one["rms_k"], *left[one["drive"], one["node"]])
+            for one in found["shown"]["errors"]
+        ]
+        least = sum(points * own_k**2 for _, own_k, points in errors)
+        return [
+            f"{np.sqrt(whole / least):.1f}"
+            for of in SHRINKS
+            for whole in [sum(n * rms_k[of] ** 2 for rms_k, _, n in errors)]
+        ]
+
+    def left(self, seed: int) -> dict[tuple[str, str], tuple[float, int]]:
+        """Return what car *seed*'s match leaves on its held-out drives.
+
+        RMS error [K] and number of points, by drive and node.
+        """
+        if seed not in self.leaves:
+            matched = self.matched(seed)
+            logs = sorted(matched.parent.glob("heldout*.log"))
+            config, signals = load_vehicle(matched)
+            drives = [read_recording(log, config, signals, {}) for log in logs]
+            targets = measured_targets(config, [one.drive for one in drives])
+            there = compare(targets[0], drives)
+            apart_k = there.residuals_k(there.start[None])[:, 0]
+            parts = np.split(apart_k, there.edges[1:-1])
+            self.leaves[seed] = {
+                (drives[one.drive].name, one.node): (rms(part), len(part))
+                for one, part in zip(there.series, parts, strict=True)
+            }
+        return self.leaves[seed]
 
     def drives(self, seed: int) -> list[list[str]]:
         """Return what held-out drives of car *seed* are off their truth."""
@@ -336,6 +379,17 @@ def figures(rows: Sequence[Sequence[str]]) -> str:
         text += f" Hidden, {which}: {found.total()}; "
         text += ", ".join(f"{one} {n}" for one, n in found.most_common())
         text += "."
+    shrunk = np.array(
+        [row[5:] for row in rows if row[2] != "-" and row[5] != "-"], float
+    )
+    if len(shrunk):
+        medians = np.median(shrunk, axis=0)
+        text += f" Shrink, median of {len(shrunk)}: "
+        text += "; ".join(
+            f"{of} {medians[2 * i]:.1f} of at most {medians[2 * i + 1]:.1f}"
+            for i, of in enumerate(SHRINKS)
+        )
+        text += "."
     return text
 
 
@@ -360,6 +414,8 @@ def row(world: World, case: Case) -> list[str]:
     naming, shown = found["naming"], found.get("shown") or {}
     hidden = case.effect != "none"
     shrink = shown.get("shrink", {}) if found.get("strengths") else {}
+    limits = world.limits(case, found) if shrink else ["-", "-"]
+    factors = [f"{shrink[of][0]:.1f}" if shrink else "-" for of in SHRINKS]
     return [
         str(case.seed),
         case.effect if hidden else f"none ({', '.join(case.drives)})",
@@ -368,10 +424,7 @@ def row(world: World, case: Case) -> list[str]:
         verdict_unlisted(case.effect, naming)
         if case.unlisted
         else verdict(case.effect, naming),
-        *(
-            f"{shrink[of][0]:.1f}" if of in shrink else "-"
-            for of in ("as configured", "heat and cooling re-fitted")
-        ),
+        *(one for pair in zip(factors, limits, strict=True) for one in pair),
     ]
 
 
