@@ -155,7 +155,7 @@ def find_force_gap(
     naming = name_effect(comparison.layout, known)
     if naming.answer == "nothing":
         naming = replace(naming, reason=NOTHING_SEEN)
-    if naming.answer in {"nothing", "unknown"}:
+    if naming.answer in {"nothing", "unknown", "undecided"}:
         beyond = replace(known, unknown=unnamed_friction(comparison))
         unnamed = name_effect(comparison.layout, beyond)
         if unnamed.answer == "unknown" and unnamed.unknown_evidence > CLEARLY:

@@ -174,11 +174,16 @@ def show(
     )
 
 
-def contradicted(naming: Naming, by: NodeErrors) -> Naming:
-    """Return *naming* without a name: held-out errors, *by*, contradict it."""
-    names = ", ".join(map(name_of, naming.names))
+def contradicted(
+    naming: Naming, names: Sequence[str], by: NodeErrors
+) -> Naming:
+    """Return *naming* without a name: held-out errors contradict *names*.
+
+    *by* are those of the last one, or of all together.
+    """
+    what = ", ".join(map(name_of, names))
     reason = (
-        f"{by.drive}, held out, contradicts {names}: {by.node} is "
+        f"{by.drive}, held out, contradicts {what}: {by.node} is "
         f"{by.rms_k[EXTENDED]:.1f} K off, {by.rms_k[SCALED]:.1f} K with "
         f"{SCALED} instead"
     )

@@ -24,6 +24,9 @@ SHARE: Final = 0.05
 """Of friction that counts as strength 1: what it differs by over one standard
 deviation of what it goes with."""
 
+SETTLED_S: Final = 10.0
+"""From then on the friction of a held brake no longer changes."""
+
 
 def unnamed_friction(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
     """Return by what each changes the whitened residual of *comparison*."""
@@ -49,10 +52,9 @@ def _drivers(
     parts = comparison.parts
     yield "speed", [one.speed_ms for one in parts]
     yield "pressure", [one.whole_n for one in parts]
-    # friction settles within seconds
     yield (
         "the length of the braking",
-        [np.log1p(_braked_s(one)) for one in parts],
+        [np.log1p(np.minimum(_braked_s(one), SETTLED_S)) for one in parts],
     )
     yield (
         "the work so far",

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from bstm_daemon.analysis.gap.fitting import (
 from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
 from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
+    baseline_fits,
     contradicted,
     show,
 )
@@ -65,6 +67,9 @@ class Question:
 
 
 ANY = Question()
+
+LIKELIEST: Final = 3
+"""Members that are asked on held-out drives where it is not decided."""
 
 STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
@@ -200,6 +205,33 @@ def _refuted(
     return tuple(one.name for one in suggested if speaks_against(one))
 
 
+def _after_held_out(
+    naming: Naming,
+    comparison: Comparison,
+    basis: Column,
+    held_out: Sequence[Recording],
+    noise: Mapping[str, SensorNoise],
+    *,
+    known_k: Column,
+) -> Naming:
+    """Return *naming* without a name if held-out drives contradict each.
+
+    Of those that it does not decide between, the likeliest. *noise* is what
+    the match handed on; *known_k* (n, p) is as for
+    :func:`~bstm_daemon.analysis.gap.fitting.fit`.
+    """
+    baselines = baseline_fits(comparison, known_k)
+    strengths = {one.name: one.strength for one in naming.candidates}
+    members, by = naming.names[:LIKELIEST], None
+    for name in members:
+        own = fit(comparison, {name: strengths[name]}, basis, known_k=known_k)
+        shown = show(comparison, own, held_out, baselines, known_k=known_k)
+        by = shown.against(noise)
+        if by is None:
+            return naming
+    return naming if by is None else contradicted(naming, members, by)
+
+
 def is_unmatched(config: Config, recordings: Sequence[Recording]) -> bool:
     """Whether any corner with a thermocouple was not matched."""
     measured = {one for each in recordings for one in each.drive.measured}
@@ -252,6 +284,12 @@ def _gap(  # noqa: PLR0913
         *(target.corners, names, points, located, naming, known.silent),
         matched=comparison.matched,
     )
+    if until == "show" and held_out and naming.answer == "undecided":
+        naming = _after_held_out(
+            *(naming, comparison, basis, held_out, handed_on),
+            known_k=simulated.jacobian_k,
+        )
+        plain = replace(plain, naming=naming)
     plain_name = naming.answer in {"name", "class"}
     forces = None if plain_name else by_forces()
     wanted = {"name"} if naming.found else {"name", "unknown"}
@@ -270,9 +308,9 @@ def _gap(  # noqa: PLR0913
     extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
     report_share(0.85)
     shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
-    against = shown.against(handed_on)
-    if against is not None:
-        return replace(plain, naming=contradicted(naming, against))
+    if by := shown.against(handed_on):
+        naming = contradicted(naming, naming.names, by)
+        return replace(plain, naming=naming)
     values, entries = written(comparison, extended, naming)
     plain = replace(
         plain,

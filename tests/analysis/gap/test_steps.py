@@ -48,6 +48,7 @@ def steps(
         until: str,
         question: Question = workflow.ANY,
         against: Any = None,
+        held_out: Sequence[Any] = (),
     ) -> tuple[Any, list[str]]:
         done: list[str] = []
 
@@ -65,7 +66,10 @@ def steps(
         known = Linearised(
             *(np.zeros(3), np.zeros((3, 5)), (), ("shim_contact",), ())
         )
-        shown = SimpleNamespace(against=lambda _: against, better=True)
+        one_by_one = iter(held_out)
+        shown = SimpleNamespace(
+            against=lambda _: next(one_by_one, against), better=True
+        )
         extended = SimpleNamespace(strengths={"gap_conduction": 1.2})
         for name, value in (
             ("locate", "a map"),
@@ -91,7 +95,12 @@ def steps(
                 or ("advice", *members)
             ),
         )
-        (gap,) = find_gap(config, [made()], until=until, question=question)
+        monkeypatch.setattr(workflow, "baseline_fits", lambda *_: {})
+        (gap,) = find_gap(
+            *(config, [made()], [made()] if held_out else ()),
+            until=until,
+            question=question,
+        )
         return gap, done
 
     return run
@@ -136,19 +145,55 @@ def test_nothing_is_done_beyond_what_is_asked_for(
     assert gap.after == ("the map after" if until == "show" else None)
 
 
+def off(node: str) -> Any:
+    """Return errors of *node* that contradict what is written."""
+    return SimpleNamespace(
+        drive="b.log", node=node, rms_k={SCALED: 2.0, EXTENDED: 5.0}
+    )
+
+
+@pytest.mark.parametrize(
+    ("against", "answer", "asked"),
+    [
+        ((off("fluid"), None, off("disc")), "undecided", 2),
+        ((None, off("fluid"), off("disc")), "undecided", 1),
+        ((off("fluid"), off("disc"), off("pad_back")), "unknown", 3),
+    ],
+)
+def test_what_is_not_decided_is_none_of_the_known_if_each_is_contradicted(
+    steps: Callable[..., tuple[Any, list[str]]],
+    against: Sequence[Any],
+    answer: Answer,
+    asked: int,
+) -> None:
+    """The likeliest three are asked, not a fourth."""
+    members = ("gap_conduction", "shim_contact", "disc_hat", "hub_heat")
+    one = Candidate("", 1.0, 0.1, 9.0, 5.0, 0.5)
+    naming = Naming(
+        *("undecided", members, 0.9),
+        *(tuple(replace(one, name=name) for name in members), {"": 0.2}, ""),
+    )
+
+    gap, done = steps(naming, "show", held_out=against)
+
+    assert gap.naming.answer == answer
+    assert done.count("fit") == asked
+    if answer == "unknown":
+        assert gap.naming.names == ()
+        assert gap.naming.probability == pytest.approx(0.8)
+        assert gap.naming.reason.startswith(
+            "b.log, held out, contradicts gap_conduction, shim_contact, "
+            "disc_hat: pad_back is 5.0 K off"
+        )
+
+
 @pytest.mark.parametrize("answer", ["name", "class", "composed"])
 def test_what_is_contradicted_is_none_of_the_known(
     steps: Callable[..., tuple[Any, list[str]]], answer: Answer
 ) -> None:
     """Whatever the answer; nothing can be adopted."""
     named = NAMED.answered(answer, ("gap_conduction",), 0.9, "")
-    off: Any = SimpleNamespace(
-        drive="b.log",
-        node="fluid",
-        rms_k={SCALED: 2.0, EXTENDED: 5.0},
-    )
-
-    gap, done = steps(named, "show", against=off)
+    gap, done = steps(named, "show", against=off("fluid"))
 
     assert [one for one in done if one in ORDER] == [*ORDER[:5]]
     assert (gap.naming.answer, gap.naming.names) == ("unknown", ())

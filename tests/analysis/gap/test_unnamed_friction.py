@@ -51,22 +51,21 @@ def test_a_straight_line_in_what_it_goes_with() -> None:
         return sum(one[first, 0] for one in series) / len(corners)
 
     work_j = [np.cumsum(p.whole_n * p.metres) for p in comparison.parts]
+    held_s = np.concatenate(
+        [
+            _braked_s(one)[own]
+            for one, own in zip(comparison.parts, comparison.kept, strict=True)
+        ]
+    )
+    assert held_s.max() > 12.0
     drivers = {
         "with speed": comparison.column("speed_ms"),
         "with pressure": whole_n,
         "with the work so far": np.concatenate(
             [j[own] for j, own in zip(work_j, comparison.kept, strict=True)]
         ),
-        "with the length of the braking": np.log1p(
-            np.concatenate(
-                [
-                    _braked_s(one)[own]
-                    for one, own in zip(
-                        comparison.parts, comparison.kept, strict=True
-                    )
-                ]
-            )
-        ),
+        # no more than in the first ten seconds
+        "with the length of the braking": np.log1p(np.minimum(held_s, 10.0)),
         "with the discs' temperature": np.concatenate(
             [disc_k(i)[own] for i, own in enumerate(comparison.kept)]
         ),
