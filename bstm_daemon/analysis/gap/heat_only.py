@@ -23,6 +23,7 @@ from bstm_daemon.analysis.gap.changes import (
     is_listed,
     largest,
 )
+from bstm_daemon.analysis.gap.composing import CLEAR, CLEARER
 from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
 from bstm_daemon.analysis.gap.force_balance import (
@@ -152,14 +153,7 @@ def find_force_gap(
     known, unseen = linearised(comparison)
     asked = tuple(one for one in known.signatures if one.name not in without)
     known = replace(known, signatures=asked)
-    naming = name_effect(comparison.layout, known)
-    if naming.answer == "nothing":
-        naming = replace(naming, reason=NOTHING_SEEN)
-    if naming.answer in {"nothing", "unknown", "undecided"}:
-        beyond = replace(known, unknown=unnamed_friction(comparison))
-        unnamed = name_effect(comparison.layout, beyond)
-        if unnamed.answer == "unknown" and unnamed.unknown_evidence > CLEARLY:
-            naming = unnamed
+    naming = _with_unnamed(comparison, known)
     seen = {}
     for one in naming.candidates:
         if one.reach <= WEAK:
@@ -197,6 +191,32 @@ def find_force_gap(
         motion,
         tuple(comparison.parts),
     )
+
+
+def _with_unnamed(comparison: ForceComparison, known: Linearised) -> Naming:
+    """Return what *known* says is missing, friction without a name beside.
+
+    That is told where nothing is named, and where it explains clearly more
+    than what is.
+    """
+    naming = name_effect(comparison.layout, known)
+    if naming.answer == "nothing":
+        naming = replace(naming, reason=NOTHING_SEEN)
+    beyond = replace(known, unknown=unnamed_friction(comparison))
+    unnamed = name_effect(comparison.layout, beyond)
+    evidence = unnamed.unknown_evidence
+    names = naming.adoptable
+    if not names:
+        tells = unnamed.answer == "unknown" and evidence > CLEARLY
+        return unnamed if tells else naming
+    project = Projector(known.jacobian, comparison.prior)
+    columns = [s.linear for s in known.signatures if s.name in names]
+    own = np.column_stack(columns)
+    listed = fit_terms(project, known.residual, own, FREE).gain
+    if evidence - listed < max(CLEAR, CLEARER * listed):
+        return naming
+    reason = f"{unnamed.unknown_place} explains more than {', '.join(names)}"
+    return unnamed.answered("unknown", (), 1.0 - naming.odds[""], reason)
 
 
 def learned_forces(
