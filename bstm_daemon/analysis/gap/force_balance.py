@@ -352,7 +352,7 @@ class ForceComparison:
         if self.parts[0].known_torque:
             found["torque lag"] = self._counted(
                 [
-                    -np.gradient(np.nan_to_num(one.driven_n), one.time_s)
+                    np.gradient(np.nan_to_num(one.driven_n), one.time_s)
                     for one in self.parts
                 ]
             )

@@ -422,6 +422,24 @@ def test_what_is_alike_on_all_drives_is_learned_without_the_mass() -> None:
     assert np.std(known.base_n) < np.std(unknown.base_n)
 
 
+def test_wheels_that_follow_the_torque_late_are_learned() -> None:
+    """By as much as the torque comes too early."""
+    config = car()[0]
+    recording = driven("idiada-step", {}, sensors="none")
+    thin = recording.thin
+    torque = thin.role == ROLE_INDEX["powertrain_torque"]
+    time_us = np.where(torque, thin.time_us - 100_000, thin.time_us)
+    order = np.argsort(time_us, kind="stable")
+    early = Events(time_us[order], thin.role[order], thin.value[order])
+
+    before, after = (
+        learned_forces(config, [one])["torque lag"][0]
+        for one in (recording, replace(recording, thin=early))
+    )
+
+    assert after - before == pytest.approx(0.1, abs=0.03)
+
+
 def test_friction_and_load_of_each_drive_are_its_own() -> None:
     config = matched_to(car()[0], {"residual_drag": (0.0, 0.05)})
     one, two = (
