@@ -352,7 +352,7 @@ class ForceComparison:
         if self.parts[0].known_torque:
             found["torque lag"] = self._counted(
                 [
-                    np.gradient(np.nan_to_num(one.driven_n), one.time_s)
+                    np.nan_to_num(np.gradient(one.driven_n, one.time_s))
                     for one in self.parts
                 ]
             )
@@ -364,8 +364,9 @@ class ForceComparison:
             Tunable("", day, FRICTION)
             for day in self._each_day(self.steady_n[WHOLE])
         ]
+        learned = self.known.forces if self.known else {}
         found += [
-            Tunable(name, column, STEADY[name][self.known is not None])
+            Tunable(name, column, STEADY[name][name in learned])
             for name, column in self.steady_n.items()
             if name != WHOLE
         ]

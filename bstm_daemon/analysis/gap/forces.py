@@ -43,9 +43,8 @@ class Forces:
     begins at, ``braked`` the share of the window with the pressure on,
     ``rate_ms2`` the change of the speed, ``driven_n`` the force of the torque
     at the wheels, nan where it is not known, ``engine_nm`` what is known of
-    the engine there, else nan, ``known_torque``
-    whether the bus has the drive's torque, ``has_accelerometer`` whether it
-    counts.
+    the engine there, else nan, ``known_torque`` whether the bus has the
+    drive's torque, ``has_accelerometer`` whether it counts.
     """
 
     drive: str

@@ -27,7 +27,7 @@ DAILY: Final = {
 }
 """Strengths by which drives of one car differ, standard deviations: the zero
 of an accelerometer by 0.1 m/s2, the load by 3 %, the torque by 4 %, clocks by
-0.1 s. Less than that is neither missing nor a change since the match."""
+0.6 s. Less than that is neither missing nor a change since the match."""
 
 
 def with_form(

@@ -351,7 +351,11 @@ def test_what_the_match_saw_is_taken_off_and_its_doubt_left_open() -> None:
     config = car()[0]
     recording = driven("idiada-step", {}, sensors="none")
     plain = ForceComparison(config, [recording])
-    drag = {"residual_drag": (0.4, 0.05), "air drag": (-0.2, 0.1)}
+    drag = {
+        "residual_drag": (0.4, 0.05),
+        "air drag": (-0.2, 0.1),
+        "pitch": (0.01, 0.01),
+    }
 
     found = ForceComparison(
         matched_to(config, {**drag, "gone": (1.0, 1.0)}), [recording]
@@ -359,6 +363,7 @@ def test_what_the_match_saw_is_taken_off_and_its_doubt_left_open() -> None:
 
     column = plain.changed_n("residual_drag")
     known_n = 0.4 * column - 0.2 * plain.steady_n["air drag"]
+    known_n += 0.01 * plain.steady_n["pitch"]
     assert found.base_n == pytest.approx(plain.base_n + known_n)
     daily = sorted(name for name in DAILY if name != "clock_offset")
     days = [found.changed_n(name) for name in daily]
@@ -366,9 +371,11 @@ def test_what_the_match_saw_is_taken_off_and_its_doubt_left_open() -> None:
     assert own == pytest.approx(np.column_stack([column, *days]))
     steady = [one.name for one in plain.tunables if one.name in STEADY]
     assert steady == [name for name in STEADY if name != "friction"]
-    for one, which in (plain, 0), (found, 1):
-        priors = [FRICTION, *(STEADY[name][which] for name in steady)]
-        assert one.prior[: len(priors)] == pytest.approx(priors)
+    for one, learned in (plain, ()), (found, drag):
+        priors = [STEADY[name][name in learned] for name in steady]
+        assert one.prior[: 1 + len(priors)] == pytest.approx(
+            [FRICTION, *priors]
+        )
     assert found.prior[len(plain.prior) :] == pytest.approx(
         [0.05, *(DAILY[name] for name in daily)]
     )
