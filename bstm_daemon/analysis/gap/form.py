@@ -105,9 +105,11 @@ def daily(comparison: Comparison, simulated: Sensed) -> tuple[Column, Column]:
         terms = simulated.terms_k.get(name)
         if terms is None:
             continue
-        for form in (terms, *simulated.forms_k.get(name, ())):
+        for linear, curved in (terms, *simulated.forms_k.get(name, ())):
+            # as it is when small: six seconds late is no tenth of that
+            small = linear + deviation * curved
             for one in np.unique(drive):
-                own = np.where(drive == one, form.sum(axis=0), 0.0)
+                own = np.where(drive == one, small, 0.0)
                 columns.append(own[:, None])
                 deviations.append(deviation)
     return np.hstack(columns), np.array(deviations)

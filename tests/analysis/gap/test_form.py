@@ -13,7 +13,7 @@ from bstm_daemon.analysis.gap.signatures import Sensed
 
 
 def test_each_drive_differs_by_its_own_in_each_form() -> None:
-    """Two series of the first drive, one of the second; a clock drifts too."""
+    """By what is small; two series of the first drive; a clock drifts too."""
     comparison: Any = SimpleNamespace(
         edges=np.array([0, 2, 3, 5]),
         series=[SimpleNamespace(drive=drive) for drive in (0, 0, 1)],
@@ -33,8 +33,12 @@ def test_each_drive_differs_by_its_own_in_each_form() -> None:
 
     first = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
     wanted = [
-        part * terms.sum(axis=0)
-        for terms in (mass, late, drifting)
+        part * (terms[0] + DAILY[name] * terms[1])
+        for name, terms in (
+            ("mass_error", mass),
+            ("clock_offset", late),
+            ("clock_offset", drifting),
+        )
         for part in (first, 1.0 - first)
     ]
     assert columns == pytest.approx(np.column_stack(wanted))
