@@ -120,7 +120,8 @@ def test_what_its_forces_showed_is_handed_on(matched: Path, log: Path) -> None:
     wanted = learned_forces(vehicle[0], [recording])
 
     (known,) = vehicle[0].matched
-    assert {"mass_error", "hydraulic_lag"} <= known.forces.keys()
+    assert {"hydraulic_lag", "torque lag", "pitch"} <= known.forces.keys()
+    assert "mass_error" not in known.forces
     strengths = {name: a for name, (a, _) in wanted.items()}
     assert known.forces == pytest.approx(strengths, abs=0.02)
     deviations = {name: sd for name, (_, sd) in wanted.items()}
