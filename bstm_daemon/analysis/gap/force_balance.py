@@ -28,7 +28,7 @@ from bstm_daemon.analysis.statistics.whitening import SensorNoise
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compile_corner
-from bstm_daemon.model.effects.catalogue import effect_class
+from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.entries.friction_in_stop import RELEASE_S
 from bstm_daemon.model.heat.feed_back import Vehicle
@@ -160,7 +160,7 @@ STEADY: Final = {
 a drive about what a match knows. Shares of what is configured; of the pitch
 [rad/g], and of the wheels behind the torque [s]."""
 
-SCALE: Final = "mass_error"
+SCALE: Final = {"mass_error", "change.effect.mass_error.strength"}
 """What all forces are measured by. Were it free in a match, all of them would
 shrink together to less than the noise of their signals."""
 
@@ -231,6 +231,7 @@ class ForceComparison:
             )
             raise LogError(msg)
         self._columns: dict[str, Column] = {}
+        self._noise_n: Column | float = 0.0
         self._raw_n = self._residual(self.parts)
         self.trials = trials(config, ()) if config.matched else {}
         self.steady_n = self._steady()
@@ -275,12 +276,10 @@ class ForceComparison:
             effects, step = trial.effects_at(CHANGE), CHANGE
         config = with_effects(self.config, effects)
         parts = [forces(one, config) for one in self.recordings]
-        changed_n = (self._residual(parts) - self._raw_n) / step
-        if name == SCALE:
-            # a smaller mass has less noise too: that is not less of a gap
-            share = effect_class(SCALE)({"strength": 1.0})["share"]
-            changed_n = changed_n - share * self._noise_n
-        return np.asarray(changed_n)
+        changed_n = self._residual(parts) - self._raw_n
+        # a smaller mass has less noise too: that is not less of a gap
+        more = _mass_kg(config) / _mass_kg(self.config) - 1.0
+        return np.asarray((changed_n - more * self._noise_n) / step)
 
     def _known(self) -> tuple[Column, list[Tunable]]:
         """Return what the match knows of the residual, less than nothing.
@@ -292,7 +291,7 @@ class ForceComparison:
         if known := self.known:
             for name, column in self.steady_n.items():
                 found = found + known.forces.get(name, 0.0) * column
-            there = {*candidates(self.config), *self.trials} - {SCALE}
+            there = {*candidates(self.config), *self.trials} - SCALE
             for name in sorted(there.intersection(known.forces)):
                 column = self.changed_n(name)
                 found = found + known.forces[name] * column
@@ -427,6 +426,10 @@ class ForceComparison:
             self.prior,
             [one.name for one in self.recordings],
         )
+
+
+def _mass_kg(config: Config) -> float:
+    return edited_inputs(config).config.vehicle.mass_kg
 
 
 def _kept(part: Forces) -> Column:

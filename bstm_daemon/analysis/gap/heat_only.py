@@ -243,7 +243,7 @@ def learned_forces(
     except LogError:
         return {}
     known, _ = linearised(comparison)
-    named = [one for one in known.signatures if one.name != SCALE]
+    named = [one for one in known.signatures if one.name not in SCALE]
     if not named:
         return {}
     columns = [one.linear for one in named]

@@ -408,6 +408,32 @@ def test_the_noise_of_the_motion_is_no_lack_of_mass() -> None:
     assert np.std(left_n) > 5.0
 
 
+def test_an_adopted_mass_is_what_forces_are_measured_by() -> None:
+    """Its change has no noise in it either, and no match learns it."""
+    name = "change.effect.mass_error.strength"
+    config = matched_to(car()[0], {name: (1.0, 0.5)})
+    entry = EffectConfig(name="mass_error", parameters={"strength": 2.0})
+    config = config.model_copy(update={"effect": [entry]})
+    recording = driven("idiada-step", {}, sensors="none")
+
+    comparison = ForceComparison(config, [recording])
+
+    more = entry.model_copy(
+        update={"parameters": {"strength": 2.0 * np.exp(0.35)}}
+    )
+    other = config.model_copy(update={"effect": [more], "matched": []})
+    same = config.model_copy(update={"matched": []})
+    heavier, base = (
+        ForceComparison(one, [recording]).base_n for one in (other, same)
+    )
+    assert comparison.base_n == pytest.approx(base)
+    share = 0.12 * np.expm1(0.35) / 1.12
+    wanted = (heavier - base - share * comparison._noise_n) / 0.5
+    assert comparison.changed_n(name) == pytest.approx(wanted, abs=1e-4)
+    assert np.std(comparison._noise_n) > 5.0
+    assert name not in learned_forces(config, [recording])
+
+
 def test_what_is_alike_on_all_drives_is_learned_without_the_mass() -> None:
     """A drag area of 0.8 of the right one: a quarter more is learned."""
     config = car()[0]

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap import heat_only
 from bstm_daemon.analysis.gap.force_balance import ForceComparison
 from bstm_daemon.analysis.gap.heat_only import find_force_gap
+from bstm_daemon.analysis.gap.naming import Answer, Naming
+from bstm_daemon.analysis.gap.signatures import (
+    Linearised,
+    Signature,
+    UnnamedHeat,
+)
 from bstm_daemon.analysis.gap.unnamed_friction import (
     SHARE,
     _braked_s,
@@ -114,6 +122,56 @@ def test_friction_that_never_differs_is_none() -> None:
     )
 
     assert unnamed_friction(empty) == ()
+
+
+@pytest.mark.parametrize(
+    ("named", "evidence", "answer"),
+    [
+        ((), 0.9, "nothing"),
+        ((), 1.1, "unknown"),
+        # the name explains 50 of the log-likelihood: half as much again
+        (("friction_fade",), 74.0, "name"),
+        (("friction_fade",), 76.0, "unknown"),
+    ],
+)
+def test_friction_without_a_name_is_told_where_it_explains_more(
+    monkeypatch: pytest.MonkeyPatch,
+    named: tuple[str, ...],
+    evidence: float,
+    answer: Answer,
+) -> None:
+    own = np.array([0.0, 1e3, 0.0])
+    known = Linearised(
+        *(np.array([3.0, 10.0, 1.0]), np.zeros((3, 1))),
+        (Signature("friction_fade", own, 0.0 * own, own, either_sign=False),),
+        *((), ()),
+    )
+    odds = {"friction_fade": 0.9, "": 0.1}
+    plain = Naming(
+        *("name" if named else "nothing", named, 0.9, (), odds, "plain")
+    )
+    told = replace(
+        plain.answered("unknown", (), 0.9, "told"),
+        unknown_evidence=evidence,
+        unknown_place="friction, with speed",
+    )
+    monkeypatch.setattr(
+        heat_only,
+        "name_effect",
+        lambda _, found: told if found.unknown else plain,
+    )
+    heat = UnnamedHeat("friction", "with speed", own)
+    monkeypatch.setattr(heat_only, "unnamed_friction", lambda _: (heat,))
+    comparison: Any = SimpleNamespace(layout=None, prior=np.ones(1))
+
+    found = heat_only._with_unnamed(comparison, known)
+
+    assert found.answer == answer
+    if named and answer == "unknown":
+        assert found.reason == (
+            "friction, with speed explains more than friction_fade"
+        )
+        assert found.probability == pytest.approx(0.9)
 
 
 @pytest.mark.slow
