@@ -84,13 +84,18 @@ def unpressed_n(
 ) -> Column:
     """Return the force of brakings that no pressure reports.
 
-    A braking is a stretch of windows with the brake released and more force
-    than :data:`PLAIN_MS2`, too long and too strong for noise, which so does
-    not explain itself. The windows that it begins and ends in belong to it.
+    A braking is a stretch of windows that are mostly released, with more force
+    than usual then by :data:`PLAIN_MS2`, most of it not of the pressure, too
+    long and too strong for noise, which so does not explain itself. The
+    windows that it begins and ends in belong to it.
     """
-    least = PLAIN_MS2 * config.vehicle.mass_kg
     motion = np.nan_to_num(part.motion_n)
-    own = (part.braked < 0.5) & (motion > least)
+    known = (part.braked == 0.0) & np.isfinite(part.motion_n)
+    # the zero of an accelerometer is no braking
+    usual = float(np.median(motion[known])) if known.any() else 0.0
+    least = PLAIN_MS2 * config.vehicle.mass_kg
+    beyond = motion - usual - 2.0 * part.whole_n
+    own = (part.braked < 0.5) & (beyond > least)
     found = np.zeros(len(motion))
     for first, last in runs(own):
         if motion[first : last + 1].sum() >= SHORTEST * least:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from bstm_daemon.analysis.gap.force_balance import (
     bedded_n,
     drag_n,
     held_n,
+    unpressed_n,
 )
 from bstm_daemon.analysis.gap.forces import _motion_n, forces
 from bstm_daemon.analysis.gap.form import DAILY
@@ -251,6 +252,33 @@ def test_twins_of_the_motion_are_a_class() -> None:
         assert entry.provenance["or"] == ["powertrain_torque_error"]
 
 
+def test_braking_without_pressure_is_beyond_zero_and_pressed_windows() -> None:
+    """An accelerometer's zero; windows that a braking begins and ends in."""
+    typical = effect_class("brake_without_pressure")({"strength": 1.0})
+    config: Any = SimpleNamespace(vehicle=SimpleNamespace(mass_kg=2000.0))
+    zero_n = 350.0
+
+    def unpressed(motion: list[float], *, begun: bool) -> list[float]:
+        braked = [0.0] * 3 + [0.4 * begun] * 2 + [0.0] * 4
+        part: Any = SimpleNamespace(
+            motion_n=np.array(motion) + zero_n,
+            braked=np.array(braked),
+            whole_n=9000.0 * np.array(braked),
+        )
+        found = unpressed_n(typical, cast("Recording", None), part, config)
+        return found.tolist()
+
+    nothing = [0.0] * 9
+    braking = [0.0, 0.0, 0.0, 3700.0, 3700.0, 0.0, 0.0, 0.0, 0.0]
+    assert unpressed(nothing, begun=False) == nothing
+    assert unpressed(braking, begun=True) == nothing
+    # the windows about it, with what the motion shows there
+    assert unpressed(braking, begun=False) == [
+        *(0.0, 0.0, zero_n, 3700.0 + zero_n, 3700.0 + zero_n),
+        *(zero_n, 0.0, 0.0, 0.0),
+    ]
+
+
 def test_braking_without_pressure_is_named() -> None:
     found = find_force_gap(car()[0], [driven("assist", {})])
 
@@ -365,7 +393,7 @@ def test_what_the_match_saw_is_taken_off_and_its_doubt_left_open() -> None:
     known_n = 0.4 * column - 0.2 * plain.steady_n["air drag"]
     known_n += 0.01 * plain.steady_n["pitch"]
     assert found.base_n == pytest.approx(plain.base_n + known_n)
-    daily = sorted(name for name in DAILY if name != "clock_offset")
+    daily = sorted(name for name in DAILY if effect_class(name).kind == "heat")
     days = [found.changed_n(name) for name in daily]
     own = found.jacobian_n[:, plain.jacobian_n.shape[1] :]
     assert own == pytest.approx(np.column_stack([column, *days]))
