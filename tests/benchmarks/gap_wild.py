@@ -4,15 +4,16 @@ The packaged reality with what its other presets lack. Every car has its own
 cp of iron and linings whose k and cp slope, its own mass, share of the axles
 and friction law, and paths that the calibration drives have already. Every
 case draws the form of what it hides from families that the catalogue does not
-have, and its size from the literature. The car is matched as ``bstm match``
-does it, then searched as ``bstm gap run`` does.
+have, and its size from the literature. Drives are logs, and the commands
+answer: ``bstm match --plain``, then ``bstm gap run --holdout``. The sheet has
+the mass as weighed, everything else as it is of the nominal car.
 
 *Detectable* is said by the truth: what is hidden moves a measured node, RMS,
 by at least three times what the matched model is off there with nothing
-hidden. A name of an unlisted effect is a wrong name wherever it acts.
+hidden; a late clock moves what is logged, friction within a stop nothing.
 
-    python tests/benchmarks/gap_wild.py --cars 3 --cache FOLDER
-    python tests/benchmarks/gap_wild.py --reported --cache FOLDER
+    python tests/benchmarks/gap_wild.py FOLDER --cars 3
+    python tests/benchmarks/gap_wild.py FOLDER --reported
 
 Seeds of ``--reported`` are a hash of the release, and each release runs them
 once; ``gap_wild_looks.json`` counts both kinds of looks.
@@ -23,36 +24,21 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import pickle
+import re
+import shutil
 import sys
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from gap_cars import (
-    drawn_car,
-    events_of,
-    keep,
-    known_accuracy,
-    present,
-    structure_config,
-)
-from gap_rivals import lowest_error
-from gap_shares import Share
+from gap_cars import drawn_car, known_accuracy
+from gap_world import HEADER, NODES, Case, World, figures, row
+from measurements import markdown
 
 from bstm_daemon import __version__
-from bstm_daemon.analysis.gap.fitting import askable, directions, fit
-from bstm_daemon.analysis.gap.form import with_form
-from bstm_daemon.analysis.gap.holdout_comparison import CONFIGURED, show
-from bstm_daemon.analysis.gap.recording import Recording, recorded
-from bstm_daemon.analysis.gap.searching import search, starts
-from bstm_daemon.analysis.gap.signatures import candidates, sensed
-from bstm_daemon.analysis.gap.workflow import compare
-from bstm_daemon.analysis.matching.changes import learned
-from bstm_daemon.analysis.matching.coarse import Reading
-from bstm_daemon.analysis.matching.matcher import match_drives
+from bstm_daemon.files import shipped_file
 from bstm_daemon.model.effects.catalogue import STRUCTURES
 from bstm_daemon.simulation import Effects, load_drive, simulate
 from bstm_daemon.simulation.lanes import (
@@ -66,17 +52,18 @@ from bstm_daemon.simulation.lanes import (
     PISTON,
 )
 from bstm_daemon.simulation.parameters import LUMPS, DrawnPath
+from bstm_daemon.simulation.recorder import Encoder, write_candump
+from bstm_daemon.units import KELVIN_OFFSET
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from bstm_daemon.analysis.gap.comparison import Comparison
-    from bstm_daemon.analysis.matching.tunables import Target
     from bstm_daemon.simulation import SimulatedDrive
     from bstm_daemon.simulation.vehicle import CarParameters
 
     Draw = np.random.Generator
 
+DBC: Final = "dbc/example_vehicle.dbc"
 CALIBRATION: Final = ("rich", "simalp", "alpine-descent", "m04", "track")
 SEARCHED: Final = ("rich", "m10", "grossglockner", "m14", "cooling", "m06")
 HELD_OUT: Final = ("city", "m09", "ams", "m01")
@@ -84,7 +71,6 @@ HELD_OUT: Final = ("city", "m09", "ams", "m01")
 soaks and stops that a match needs."""
 
 SENSORS: Final = "n2"
-DETECTABLE: Final = 3.0
 DEVELOPMENT_SEED: Final = 20_000
 REPORTED_CARS: Final = 30
 LOOKS: Final = Path(__file__).with_name("gap_wild_looks.json")
@@ -92,27 +78,16 @@ LOOKS: Final = Path(__file__).with_name("gap_wild_looks.json")
 # parts of a corner that a path begins at, and the air that it may end in
 BACKPLATE, SURFACE = 0, 1
 FIRST_LUMP, OPEN_AIR = 3, len(LUMPS)
-CATALOGUED_TWINS: Final = {
-    "disc_wear": "change.disc_mass",
-    "backplate_loss": "change.pad_air",
-    "bracket_conduction": "change.pad_air",
-    "convection_exponent": "change.disc_air",
-    "caliper_radiation": "change.caliper_air",
-}
-"""Changes of a value that say the same (docs/effects.md), right as well."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
     """What a case hides.
 
-    ``kind`` is its name; ``listed`` whether the catalogue has it. ``path``
-    and ``effects`` act in the brake, ``clock_s`` and ``in_stop`` in what is
-    logged.
+    ``path`` and ``effects`` act in the brake, ``clock_s`` and ``in_stop`` in
+    what is logged.
     """
 
-    kind: str
-    listed: bool
     path: DrawnPath | None = None
     effects: dict[str, float] = field(default_factory=dict)
     clock_s: float = 0.0
@@ -249,72 +224,54 @@ UNLISTED: Final[dict[str, Callable[[Draw], dict[str, Any]]]] = {
 """What no entry of the catalogue describes."""
 
 
-def hidden_of(kind: str, draw: Draw) -> Hidden:
+def hidden_of(case: Case) -> Hidden:
+    """Return what *case* hides, its form and size drawn for it alone."""
+    if case.effect == "none":
+        return Hidden()
+    digest = hashlib.sha256(f"{case.seed} {case.effect}".encode()).hexdigest()
+    return drawn(case.effect, np.random.default_rng(int(digest[:12], 16)))
+
+
+def drawn(kind: str, draw: Draw) -> Hidden:
     """Return *kind* with the form and size that *draw* gives it."""
     made = {**FAMILIES, **UNLISTED}[kind](draw)
     if kind in LOSSES:
         path = made["path"]
         taken = replace(path, conductance_w_k=-path.conductance_w_k)
         made["path"] = taken
-    return Hidden(kind, kind in FAMILIES, **made)
+    return Hidden(**made)
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """A case of the car *seed*; without ``kind`` nothing is hidden."""
+SAME: Final = {
+    "disc_wear": {"change.disc_mass"},
+    "backplate_loss": {"change.pad_air"},
+    "bracket_conduction": {"change.pad_air"},
+    "shim_contact": {"change.shim_resistance"},
+    "pad_wear": {
+        *("change.lining_capacity", "change.lining_conductivity"),
+        "change.heat_into_pads",
+    },
+    "friction_fade": {"change.effect.friction_fade.strength"},
+}
+"""Changes of a value that say the same (docs/effects.md), right as well."""
 
-    seed: int
-    kind: str = ""
-
-    @property
-    def draw(self) -> Draw:
-        """What it is drawn with."""
-        text = f"{self.seed} {self.kind}"
-        digest = hashlib.sha256(text.encode()).hexdigest()
-        return np.random.default_rng(int(digest[:12], 16))
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """What came of a case."""
-
-    seed: int
-    kind: str
-    listed: bool
-    ratio: float
-    answer: str
-    names: list[str]
-    place: str
-    gate_z: float
-    baseline: list[str]
-    shrink: float | None
-    search_s: float
-
-    @property
-    def detectable(self) -> bool:
-        """Whether the truth says that it can be seen."""
-        return self.ratio >= DETECTABLE
-
-    def right(self, answer: str, names: Sequence[str]) -> bool:
-        """Whether *answer* with *names* is that of a listed effect."""
-        allowed = {self.kind, CATALOGUED_TWINS.get(self.kind, self.kind)}
-        if answer == "class":
-            return len(names) <= 2 and bool(allowed & set(names))
-        return answer == "name" and set(names) <= allowed
-
-    def wrong(self, answer: str, names: Sequence[str]) -> bool:
-        """Whether a name is given that is not what is hidden."""
-        allowed = {self.kind, CATALOGUED_TWINS.get(self.kind, self.kind)}
-        if not self.listed:
-            allowed = set()
-        return answer == "name" and not set(names) <= allowed
+PLACES: Final[dict[str, tuple[str, ...]]] = {
+    "disc_to_bracket": ("disc to",),
+    "caliper_to_hub": ("caliper", "fluid"),
+    "caliper_duct": ("caliper", "fluid"),
+    "line_while_held": ("fluid",),
+    "fingers_to_bracket": ("caliper", "fluid", "pad_back to"),
+    "damper_heat": ("heat at", "to air"),
+    "dust_shield": ("disc to", "to air"),
+}
+"""Of what no entry describes: the paths of a right description."""
 
 
 class Car:
-    """A drawn car, matched to drives that have effects already."""
+    """A drawn car; the drives of its match have effects already."""
 
-    def __init__(self, seed: int, folder: Path) -> None:
-        self.seed, self.folder = seed, folder
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
         draw = np.random.default_rng(seed)
         car = drawn_car(seed)
         share = 1.0 + draw.uniform(-0.08, 0.08)
@@ -333,7 +290,7 @@ class Car:
         self.paths = tuple(
             path
             for kind in own
-            if (path := hidden_of(kind, draw).path) is not None
+            if (path := drawn(kind, draw).path) is not None
         )
         self.own_kinds = set(own)
         self.car: CarParameters = replace(
@@ -356,13 +313,9 @@ class Car:
         self.searched = _pair(draw, SEARCHED)
         self.held_out = _pair(draw, HELD_OUT)
 
-    def drive(self, name: str, hidden: Hidden | None, number: int) -> Driven:
-        """Return the drive *name* with *hidden*, as recorded."""
-        paths, effects = self.paths, self.effects
-        if hidden is not None and hidden.path is not None:
-            paths = (*paths, hidden.path)
-        if hidden is not None:
-            effects = replace(effects, **hidden.effects)
+    def drive(self, name: str, hidden: Hidden, number: int) -> SimulatedDrive:
+        """Return the drive *name* with *hidden*, as logged."""
+        paths = (*self.paths, *filter(None, [hidden.path]))
         driven = simulate(
             load_drive(name),
             replace(
@@ -370,49 +323,75 @@ class Car:
                 front=replace(self.car.front, drawn_paths=paths),
                 rear=replace(self.car.rear, drawn_paths=paths),
             ),
-            preset=effects,
+            preset=replace(self.effects, **hidden.effects),
             sensors=SENSORS,
             seed=self.seed + number,
         )
-        if hidden is not None:
-            driven = _logged(driven, hidden)
-        recording = recorded(name, [events_of(driven)], self.config, present())
-        return Driven(driven, recording)
-
-    @property
-    def config(self) -> Any:
-        """The configuration before its match."""
-        config = structure_config(self.structure)
-        return config.model_copy(update={"accuracy": known_accuracy(SENSORS)})
-
-    def target(self) -> Target:
-        """Return what ``bstm match`` hands on."""
-        kept = self.folder / f"wild-{self.seed}.pickle"
-        if not kept.exists():
-            recordings = [
-                self.drive(name, None, 31 + i).recording
-                for i, name in enumerate(self.calibration)
-            ]
-            drives = [one.drive for one in recordings]
-            match = match_drives(self.config, [Reading(None, drives)])[0]
-            known = learned(match)
-            plain = match.after.config.model_copy(update={"matched": [known]})
-            found = replace(match.after, config=plain)
-            comparison = compare(found, recordings)
-            names = askable(found, candidates(plain))
-            whole = with_form(known, comparison, sensed(comparison, names))
-            config = plain.model_copy(update={"matched": [whole]})
-            keep(kept, pickle.dumps(replace(found, config=config)))
-        result: Target = pickle.loads(kept.read_bytes())  # noqa: S301  (own)
-        return result
+        return _logged(driven, hidden)
 
 
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """A drive as it happened and as it was recorded."""
+class Wild(World):
+    """Cases of drawn cars."""
 
-    drive: SimulatedDrive
-    recording: Recording
+    right: Final = {kind: {kind} | SAME.get(kind, set()) for kind in FAMILIES}
+    places: Final = PLACES
+
+    def control(self, seed: int) -> Case:
+        """Return the drives that effects are hidden in, with none."""
+        return Case(seed, "none", Car(seed).searched)
+
+    def made(self, case: Case) -> Path:
+        """Return the folder of *case*, made if it is not there."""
+        target = self.folder / case.name
+        if not target.exists():
+            car = Car(case.seed)
+            hidden = hidden_of(case)
+            part = self.folder / f"{case.name}.part"
+            shutil.rmtree(part, ignore_errors=True)
+            (part / "truth").mkdir(parents=True)
+            pairs = {"test": (case.drives, 51), "heldout": (car.held_out, 71)}
+            if case == self.control(case.seed):
+                pairs["cal"] = (car.calibration, 31)
+            for what, (names, number) in pairs.items():
+                for i, name in enumerate(names):
+                    driven = car.drive(name, hidden, number + i)
+                    _write(part, f"{what}{i + 1}_{name}", driven)
+            part.rename(target)
+        return target
+
+    def write_sheet(self, folder: Path, out: Path) -> None:
+        """Write the nominal car's configuration with the weighed mass."""
+        car = Car(int(folder.name.partition("-")[0]))
+        accuracy = known_accuracy(SENSORS)
+        shipped = shipped_file("config/example_vehicle.toml")
+        text = shipped.read_text("utf-8")
+        for old, new in (
+            (r'dbc = ".*"', f'dbc = "{shipped_file(DBC)}"'),
+            (r"mass_kg = 2194.0", f"mass_kg = {car.car.mass_kg:.0f}"),
+            (r'structure = "thesis"', f'structure = "{car.structure}"'),
+            (r'form = "rate"', 'form = "conductance"'),
+            (r'mode = "auto"', 'mode = "ff"'),
+        ):
+            text, count = re.subn(f"(?m)^{old}$", new, text)
+            if count != 1:
+                sys.exit(f"{shipped}: {count} lines {old}")
+        text += (
+            "\n[accuracy]\n"
+            f"thermocouple_offset_k = {accuracy.thermocouple_offset_k}\n"
+            f"thermocouple_drift_k = {accuracy.thermocouple_drift_k}\n"
+        )
+        out.write_text(text, "utf-8")
+
+
+def _write(folder: Path, name: str, driven: SimulatedDrive) -> None:
+    """Write the log of *driven*, and its truth from the start of the log."""
+    write_candump(folder / f"{name}.log", driven, Encoder(shipped_file(DBC)))
+    sent_s = driven.time_s[driven.bus_on]
+    truth = {
+        node: driven.truth[f"FL.{node}"] - KELVIN_OFFSET for node in NODES
+    }
+    time_s = driven.slow_time_s - sent_s[0]
+    np.savez(folder / "truth" / f"{name}.npz", t=time_s, **truth)
 
 
 def _with(corner: Any, share: float, slopes: dict[str, float]) -> Any:
@@ -449,162 +428,34 @@ def _logged(driven: SimulatedDrive, hidden: Hidden) -> SimulatedDrive:
             name: values / factor if "pressure" in name else values
             for name, values in roles.items()
         }
-    temperatures = {
-        name: np.interp(
-            driven.slow_time_s - hidden.clock_s, driven.slow_time_s, values
-        )
-        for name, values in driven.temperatures.items()
-    }
-    return replace(driven, roles=roles, temperatures=temperatures)
+    late_s = driven.slow_time_s - hidden.clock_s
+    temperatures, truth = (
+        {
+            name: np.interp(late_s, driven.slow_time_s, values)
+            for name, values in of.items()
+        }
+        for of in (driven.temperatures, driven.truth)
+    )
+    return replace(driven, roles=roles, temperatures=temperatures, truth=truth)
 
 
-def _truth_k(comparison: Comparison, drives: Sequence[Driven]) -> np.ndarray:
-    """Return the real temperatures where *comparison* has residuals, (n,)."""
-    parts = []
-    for one in comparison.series:
-        drive = drives[one.drive].drive
-        start_s = drives[one.drive].recording.drive.start_s
-        parts.append(
-            np.mean(
-                [
-                    np.interp(
-                        start_s + one.time_s,
-                        drive.slow_time_s,
-                        drive.truth[f"{corner}.{one.node}"],
-                    )
-                    for corner, _ in one.couples
-                ],
-                axis=0,
-            )
-        )
-    return np.concatenate(parts)
-
-
-def _shift_k(comparison: Comparison, with_k: np.ndarray) -> dict[str, float]:
-    """Return the RMS of *with_k* (n,) by node."""
-    nodes = {one.node for one in comparison.series}
-    found = {}
-    for node in nodes:
-        own = np.repeat(
-            [one.node == node for one in comparison.series],
-            [len(one.time_s) for one in comparison.series],
-        )
-        found[node] = float(np.sqrt(np.mean(with_k[own] ** 2)))
-    return found
-
-
-class Searched:
-    """What the cases of a car share: its match, and its control."""
-
-    def __init__(self, car: Car) -> None:
-        self.car, self.target = car, car.target()
-        self.control = [
-            car.drive(name, None, 51 + i)
-            for i, name in enumerate(car.searched)
-        ]
-        comparison = compare(
-            self.target, [one.recording for one in self.control]
-        )
-        self.truth_k = _truth_k(comparison, self.control)
-        measured = np.concatenate([s.measured_k for s in comparison.series])
-        apart = comparison.residuals_k(comparison.start[None])[:, 0]
-        self.off_k = _shift_k(comparison, apart + measured - self.truth_k)
-
-    def result(self, case: Case) -> Result:
-        """Search *case*."""
-        hidden = hidden_of(case.kind, case.draw) if case.kind else None
-        drives = self.control
-        if hidden is not None:
-            drives = [
-                self.car.drive(name, hidden, 51 + i)
-                for i, name in enumerate(self.car.searched)
-            ]
-        begin_s = time.process_time()
-        comparison = compare(self.target, [one.recording for one in drives])
-        names = askable(self.target, candidates(self.target.config))
-        simulated = sensed(comparison, names)
-        _, naming = search(comparison, simulated, directions(comparison))
-        search_s = time.process_time() - begin_s
-        baseline: list[str] = []
-        if naming.found:
-            # the same gate; of sensed alone
-            baseline = lowest_error(_Residuals(simulated))  # type: ignore[arg-type]
-        shrink = None
-        if naming.adoptable and hidden is not None:
-            held_out = [
-                self.car.drive(name, hidden, 71 + i).recording
-                for i, name in enumerate(self.car.held_out)
-            ]
-            extended = fit(
-                comparison, starts(naming), directions(comparison),
-                known_k=simulated.jacobian_k,
-            )  # fmt: skip
-            shown = show(
-                comparison, extended, held_out, known_k=simulated.jacobian_k
-            )
-            shrink = shown.shrinks[CONFIGURED].factor
-        return Result(
-            case.seed,
-            case.kind,
-            hidden is not None and hidden.listed,
-            self._ratio(comparison, drives, hidden),
-            naming.answer,
-            list(naming.names),
-            naming.unknown_place,
-            naming.gate_z,
-            baseline,
-            shrink,
-            search_s,
-        )
-
-    def _ratio(
-        self,
-        comparison: Comparison,
-        drives: Sequence[Driven],
-        hidden: Hidden | None,
-    ) -> float:
-        """Return by how much a node moves over what the control is off."""
-        if hidden is None:
-            return 0.0
-        if hidden.clock_s:
-            # what the thermocouples show moves, not the parts
-            moved = np.concatenate(
-                [hidden.clock_s * s.slope_k_s for s in comparison.series]
-            )
-        elif hidden.in_stop[0]:
-            nothing = compare(
-                self.target, [one.recording for one in self.control]
-            )
-            x = comparison.start[None]
-            moved = (comparison.residuals_k(x) - nothing.residuals_k(x))[:, 0]
-        else:
-            moved = _truth_k(comparison, drives) - self.truth_k
-        shifts = _shift_k(comparison, moved)
-        return max(shifts[n] / max(self.off_k[n], 0.1) for n in shifts)
-
-
-@dataclass(frozen=True, slots=True)
-class _Residuals:
-    """What the baseline reads of a case."""
-
-    sensed: Any
-
-
-def cases_of(seed: int, car: Car, count: int) -> list[Case]:
+def cases_of(seed: int, count: int) -> list[Case]:
     """Return a control and *count* cases of the car *seed*, a third unlisted.
 
     Kinds go round, so that a few cars have all.
     """
+    car = Car(seed)
     known = {*STRUCTURES[car.structure], *car.own_kinds}
-    listed = [kind for kind in FAMILIES if kind not in known]
-    unlisted = [kind for kind in UNLISTED if kind not in known]
     order = np.random.default_rng(seed + 1)
     many = -(-count // 3)
-    chosen = [
-        *order.permutation(listed)[: count - many],
-        *order.permutation(unlisted)[:many],
-    ]
-    return [Case(seed), *(Case(seed, str(kind)) for kind in chosen)]
+    cases = [Case(seed, "none", car.searched)]
+    for pool, share in (FAMILIES, count - many), (UNLISTED, many):
+        kinds = [kind for kind in pool if kind not in known]
+        cases += [
+            Case(seed, str(kind), car.searched, unlisted=pool is UNLISTED)
+            for kind in order.permutation(kinds)[:share]
+        ]
+    return cases
 
 
 def looked(*, reported: bool) -> dict[str, Any]:
@@ -613,9 +464,7 @@ def looked(*, reported: bool) -> dict[str, Any]:
     Raises:
         SystemExit: the release has been reported already.
     """
-    looks: dict[str, Any] = {"development": 0, "reported": {}}
-    if LOOKS.exists():
-        looks = json.loads(LOOKS.read_text("utf-8"))
+    looks: dict[str, Any] = json.loads(LOOKS.read_text("utf-8"))
     if reported:
         if __version__ in looks["reported"]:
             msg = f"release {__version__} was reported: its seeds are used"
@@ -633,90 +482,32 @@ def seeds_of(*, reported: bool, cars: int) -> list[int]:
         return [DEVELOPMENT_SEED + 100 * i for i in range(cars)]
     digest = hashlib.sha256(f"bstm wild {__version__}".encode()).hexdigest()
     first = 100_000 + int(digest[:6], 16)
-    return [first + 101 * i for i in range(cars)]
-
-
-def table_of(results: Sequence[Result]) -> list[str]:
-    """Return the figures as lines, over all cases and detectable ones."""
-
-    def share(label: str, hits: Sequence[bool]) -> str:
-        found = Share(float(sum(hits)), len(hits))
-        return f"| {label} | {found} of {len(hits)} |"
-
-    controls = [one for one in results if not one.kind]
-    lines = [
-        share("controls: a name", [o.answer == "name" for o in controls]),
-        share("controls: anything", [o.answer != "nothing" for o in controls]),
-    ]
-    for label, kept in (("all", False), ("detectable", True)):
-        own = [o for o in results if o.kind and (o.detectable or not kept)]
-        listed = [o for o in own if o.listed]
-        others = [o for o in own if not o.listed]
-        lines += [
-            share(
-                f"listed, {label}: right",
-                [o.right(o.answer, o.names) for o in listed],
-            ),
-            share(
-                f"listed, {label}: a wrong name",
-                [o.wrong(o.answer, o.names) for o in listed],
-            ),
-            share(
-                f"listed, {label}: right, gated lowest RMS",
-                [o.right("name", o.baseline) and bool(o.baseline)
-                 for o in listed],
-            ),
-            share(
-                f"unlisted, {label}: none of the known",
-                [o.answer == "unknown" for o in others],
-            ),
-            share(
-                f"unlisted, {label}: a wrong name",
-                [o.wrong(o.answer, o.names) for o in others],
-            ),
-        ]  # fmt: skip
-    shrinks = [one.shrink for one in results if one.shrink is not None]
-    if shrinks:
-        worse = np.mean(np.array(shrinks) < 1.0 / 1.05)
-        lines.append(
-            f"| shrink of what can be written | median "
-            f"{np.median(shrinks):.2f}, worse in {100 * worse:.0f} % of "
-            f"{len(shrinks)} |"
-        )
-    return lines
+    return [first + 101 * i for i in range(REPORTED_CARS)]
 
 
 def main() -> None:
-    """Run the cases that the arguments ask for and print the figures."""
+    """Run the cases that the arguments ask for and print their table."""
     parser = argparse.ArgumentParser(
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("folder", type=Path)
     parser.add_argument("--cars", type=int, default=2)
     parser.add_argument("--each", type=int, default=6, help="cases of a car")
     parser.add_argument("--reported", action="store_true")
-    parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument(
-        "--seconds", type=float, default=float("inf"), help="of CPU"
-    )
     args = parser.parse_args()
-    args.cache.mkdir(parents=True, exist_ok=True)
     looks = looked(reported=args.reported)
-    cars = REPORTED_CARS if args.reported else args.cars
-    results = []
-    for seed in seeds_of(reported=args.reported, cars=cars):
-        if time.process_time() > args.seconds:
-            break
-        car = Car(seed, args.cache)
-        shared = Searched(car)
-        for case in cases_of(seed, car, args.each):
-            if time.process_time() > args.seconds:
-                break
-            one = shared.result(case)
-            results.append(one)
-            sys.stderr.write(json.dumps(asdict(one)) + "\n")
-    for line in table_of(results):
-        sys.stdout.write(line + "\n")
+    world = Wild(args.folder)
+    rows: dict[bool, list[list[str]]] = {False: [], True: []}
+    for seed in seeds_of(reported=args.reported, cars=args.cars):
+        for case in cases_of(seed, args.each):
+            found = row(world, case)
+            rows[case.unlisted].append(found)
+            print(*found, sep="  ", flush=True)  # noqa: T201
+    for unlisted, what in ((False, "Listed"), (True, "Unlisted")):
+        own = rows[unlisted]
+        table = "\n".join(markdown({"header": HEADER, "rows": own}))
+        sys.stdout.write(f"\n{table}\n\n{what}. {figures(own)}\n")
     sys.stdout.write(f"looks: {json.dumps(looks)}\n")
 
 
