@@ -24,12 +24,10 @@ DAILY: Final = {
     "mass_error": 0.5,
     "powertrain_torque_error": 0.5,
     "clock_offset": 0.1,
-    "thermocouple_lag": 0.1,
 }
 """Strengths by which drives of one car differ, standard deviations: the zero
 of an accelerometer by 0.1 m/s2, the load by 3 %, the torque by 4 %, clocks by
-0.6 s, the response of thermocouples by 1.5 s. Less than that is neither
-missing nor a change since the match."""
+0.6 s. Less than that is neither missing nor a change since the match."""
 
 
 def with_form(

@@ -9,6 +9,7 @@ both.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -93,15 +94,18 @@ class Shown:
 
         Where it is held out and errs clearly more than with heat and cooling
         re-fitted: by more than the drift that *noise* has by node, too. Not
-        where over all nodes it errs clearly less: heat and cooling may serve
-        one node and leave the others.
+        where over all nodes it errs clearly less, in kelvin or in drifts:
+        heat and cooling may serve one node and leave the others.
         """
-        gained = self.shrinks[SCALED].lower >= GROWN
+        gained = max(
+            self.shrinks[SCALED].lower,
+            self._in_drifts(SCALED, noise) / self._in_drifts(EXTENDED, noise),
+        )
         found = [
             one
             for one in self.errors
             if self.held_out
-            and not gained
+            and gained < GROWN
             and has_grown(
                 one.rms_k[SCALED], one.rms_k[EXTENDED], noise[one.node].drift_k
             )
@@ -111,6 +115,17 @@ class Shown:
             key=lambda one: one.rms_k[EXTENDED] / one.rms_k[SCALED],
             default=None,
         )
+
+    def _in_drifts(
+        self, model: str, noise: Mapping[str, SensorNoise]
+    ) -> float:
+        """Return the RMS of *model* over all, each node by its own drift."""
+        share = [
+            (len(one.time_s), one.rms_k[model] / noise[one.node].drift_k)
+            for one in self.errors
+        ]
+        points = sum(count for count, _ in share)
+        return sqrt(sum(n * size**2 for n, size in share) / points)
 
 
 def baseline_fits(

@@ -30,33 +30,42 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.parametrize(
-    ("before_k", "after_k", "drift_k", "gained", "against"),
+    ("before_k", "after_k", "drift_k", "gained", "disc_drift_k", "against"),
     [
-        (3.0, 5.1, 1.0, 1.24, True),
+        (3.0, 5.1, 1.0, 1.24, 1.0, True),
         # by less than 2 K, than a quarter, than what the match left there
-        (3.0, 4.9, 1.0, 1.24, False),
-        (10.0, 12.4, 1.0, 1.24, False),
-        (3.0, 5.1, 2.2, 1.24, False),
+        (3.0, 4.9, 1.0, 1.24, 1.0, False),
+        (10.0, 12.4, 1.0, 1.24, 1.0, False),
+        (3.0, 5.1, 2.2, 1.24, 1.0, False),
         # where all nodes together are a quarter better for certain
-        (3.0, 5.1, 1.0, 1.26, False),
+        (3.0, 5.1, 1.0, 1.26, 1.0, False),
+        # where they are so in drifts, which the discs have less of
+        (3.0, 5.1, 1.0, 1.24, 0.165, True),
+        (3.0, 5.1, 1.0, 1.24, 0.158, False),
     ],
 )
-def test_what_contradicts_is_beyond_all_three(
+def test_what_contradicts_is_beyond_all_four(
     before_k: float,
     after_k: float,
     drift_k: float,
     gained: float,
+    disc_drift_k: float,
     *,
     against: bool,
 ) -> None:
     errors: Any = tuple(
-        SimpleNamespace(node=node, rms_k={SCALED: 3.0, EXTENDED: rms_k})
-        for node, rms_k in (("disc", 1.0), ("fluid", after_k))
+        SimpleNamespace(
+            node=node,
+            time_s=np.zeros(count),
+            rms_k={SCALED: 3.0, EXTENDED: rms_k},
+        )
+        for node, count, rms_k in (("disc", 10, 1.0), ("fluid", 90, after_k))
     )
     errors[1].rms_k[SCALED] = before_k
-    noise: Any = dict.fromkeys(
-        ("disc", "fluid"), SimpleNamespace(drift_k=drift_k)
-    )
+    noise: Any = {
+        node: SimpleNamespace(drift_k=k)
+        for node, k in (("disc", disc_drift_k), ("fluid", drift_k))
+    }
 
     for held_out in (True, False):
         shrinks = {SCALED: Shrink(2.0, gained, 3.0)}

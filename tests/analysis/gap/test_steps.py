@@ -343,15 +343,48 @@ def test_what_forces_refute_is_searched_without(
     steps: Callable[..., tuple[Any, list[str]]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Until no more is refuted."""
+    refuted = [FADE, "wet_disc"]
     monkeypatch.setattr(
-        workflow, "_refuted", lambda naming, *_: (FADE,) * naming.found
+        workflow,
+        "_refuted",
+        lambda naming, *_: naming.found and tuple(refuted and [refuted.pop()]),
     )
     nothing = NAMED.answered("nothing", (), 0.9, "")
 
     _, found = steps(nothing, "name")
     assert found == [*ORDER[:3]]
     _, found = steps(NAMED, "name")
-    assert found == ["locate", "sensed", "search", f"not {FADE}", "search"]
+    assert found == [
+        *("locate", "sensed", "search", "not wet_disc", "search"),
+        *(f"not {FADE}", "search"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "strength", "against", "of_one_day"),
+    [
+        ("thermocouple_lag", 0.19, -3.1, True),
+        ("clock_offset", -0.19, -3.1, True),
+        # one that is not small, or that each drive has, is the car's
+        ("thermocouple_lag", 0.21, -3.1, False),
+        ("thermocouple_lag", 0.19, -2.9, False),
+        ("wet_disc", 0.19, -3.1, False),
+    ],
+)
+def test_a_small_error_of_a_sensor_on_one_day_is_left_out(
+    name: str, strength: float, against: float, *, of_one_day: bool
+) -> None:
+    best = Candidate(name, strength, 0.01, 30.0, 20.0, 0.05)
+    other = Candidate("friction_fade", 0.5, 0.1, 9.0, 7.0, 0.5)
+    drives = {"one.log": 20.0, "other.log": against}
+    naming = replace(
+        NAMED, candidates=(best, other), cross_validated=drives
+    ).answered("unknown", (), 0.9, "")
+
+    assert workflow._of_one_day(naming) == ((name,) if of_one_day else ())
+    nothing = naming.answered("nothing", (), 0.9, "")
+    assert workflow._of_one_day(nothing) == ()
 
 
 def test_what_can_not_be_told_apart_is_advised_on(
