@@ -413,7 +413,7 @@ def test_hub_heat_follows_the_turns_late(corner: Make) -> None:
     for exponent, share in ((0.0, 0.5), (1.0, 0.25)):
         there = corner("hub_heat", exponent=exponent)
         watts = []
-        for seconds, speed in ((1200.0, 10.0), (20000.0, 10.0), (600.0, 0.0)):
+        for seconds, speed in ((1200.0, 10.0), (8000.0, 10.0), (600.0, 0.0)):
             there.drive(seconds, speed_ms=speed)
             before = there.ledger().sources["hub_heat"]
             there.drive(0.25, speed_ms=speed)
