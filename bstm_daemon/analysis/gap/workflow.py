@@ -34,7 +34,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     contradicted,
     show,
 )
-from bstm_daemon.analysis.gap.naming import AGAINST, Naming
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
@@ -177,11 +177,14 @@ def _force_gap(
 
 
 def _of_one_day(naming: Naming) -> tuple[str, ...]:
-    """Return the small error of a sensor that is best, if a drive has none."""
+    """Return the small error of a sensor that is best, if a drive has none.
+
+    Predicted by the others, that drive is then less likely with it.
+    """
     if not (naming.found and naming.candidates):
         return ()
     best = naming.candidates[0]
-    against = min(naming.cross_validated.values(), default=0.0) < -AGAINST
+    against = min(naming.cross_validated.values(), default=0.0) < 0.0
     small = abs(best.strength) < SMALL
     return (best.name,) if against and small and of_sensor(best.name) else ()
 
