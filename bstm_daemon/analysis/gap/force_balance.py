@@ -91,7 +91,7 @@ def unpressed_n(
     """
     motion = np.nan_to_num(part.motion_n)
     known = (part.braked == 0.0) & np.isfinite(part.motion_n)
-    # the zero of an accelerometer is no braking; half of all may be some
+    # what the quietest quarter shows is the accelerometer's zero
     usual = float(np.quantile(motion[known], 0.25)) if known.any() else 0.0
     least = PLAIN_MS2 * config.vehicle.mass_kg
     beyond = motion - usual - 2.0 * part.whole_n

@@ -277,6 +277,12 @@ def test_braking_without_pressure_is_beyond_zero_and_pressed_windows() -> None:
         *(0.0, 0.0, zero_n, 3700.0 + zero_n, 3700.0 + zero_n),
         *(zero_n, 0.0, 0.0, 0.0),
     ]
+    # two windows of three may be of one
+    most = [0.0] * 3 + [3700.0] * 6
+    assert unpressed(most, begun=False) == [
+        *(0.0, 0.0, zero_n),
+        *[3700.0 + zero_n] * 6,
+    ]
 
 
 def test_braking_without_pressure_is_named() -> None:
