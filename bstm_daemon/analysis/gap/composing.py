@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from math import log
 from typing import Final
 
@@ -40,7 +41,13 @@ from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compiled_model
-from bstm_daemon.model.effects.composed import FORMS, PATHS, PREFIX, Term
+from bstm_daemon.model.effects.composed import (
+    FORMS,
+    PATHS,
+    PREFIX,
+    Term,
+    read,
+)
 from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.network import Factor, Link, Node, value
 
@@ -54,7 +61,11 @@ WIDENED: Final = 16
 """Terms of one clause that get a second one."""
 
 SIMULATED: Final = 6
-"""Terms that are simulated with the whole model, each round."""
+"""Terms that are simulated with the whole model, each round; and the best of
+another path."""
+
+AS_LIKELY: Final = 3.0
+"""Up to so much less log evidence a term of another path is told too."""
 
 AT_ONCE: Final = 128
 """Terms that are marched at a time: more take memory, not less time."""
@@ -255,8 +266,8 @@ class Search:
 
     def best(
         self, chosen: Sequence[Signature]
-    ) -> tuple[Candidate, Signature] | None:
-        """Return the term that explains most beside *chosen*."""
+    ) -> list[tuple[Candidate, Signature]]:
+        """Return terms that explain most beside *chosen*, best first."""
         project = self.project.beside([one.column for one in chosen])
         ranked = self.ranked(self.single, self.columns_of_single, project)
         wider = [
@@ -268,8 +279,11 @@ class Search:
         if wider:
             ranked += self.ranked(wider, self.columns(wider), project)
             ranked.sort(key=lambda one: -one[0])
+        leading = ranked[:SIMULATED]
+        paths = {term.path for _, term in leading}
+        others = (one for one in ranked if one[1].path not in paths)
         found = []
-        for _, term in ranked[:SIMULATED]:
+        for _, term in (*leading, *islice(others, 1)):
             name = PREFIX + str(term)
             self.comparison.sizes[name] = term.size
             signature = signature_of(
@@ -279,7 +293,7 @@ class Search:
                 one = weigh(project, self.known.residual, signature)
                 paid = one.log_evidence - cost(term)
                 found.append((replace(one, log_evidence=paid), signature))
-        return max(found, key=lambda one: one[0].log_evidence, default=None)
+        return sorted(found, key=lambda one: -one[0].log_evidence)
 
 
 def cost(term: Term) -> float:
@@ -317,11 +331,12 @@ def with_composed(
     terms: list[Candidate] = []
     chosen: list[Signature] = []
     validated: dict[str, float] = {}
+    others: list[str] = []
     while len(terms) < MOST_TERMS:
         found = search.best(chosen)
-        if found is None:
+        if not found:
             break
-        one, signature = found
+        one, signature = found[0]
         if one.log_evidence < NEXT_EVIDENCE or (
             terms and one.gain < NEXT_SHARE * terms[0].gain
         ):
@@ -330,6 +345,7 @@ def with_composed(
             validated = cross_validated(layout, known, signature)
             if min(validated.values(), default=0.0) < -AGAINST:
                 break
+            others = _as_likely([each for each, _ in found])
         terms.append(one)
         chosen.append(signature)
     by_name = {one.name: one for one in known.signatures}
@@ -349,6 +365,14 @@ def with_composed(
     odds = probabilities([whole, *naming.candidates])
     names = tuple(one.name for one in terms)
     known = replace(known, signatures=(*known.signatures, *chosen))
+    reason = naming.reason
+    if rivals:
+        reason = (
+            f"the best of the catalogue, {', '.join(rivals)}, explains "
+            f"{100.0 * listed / gain:.0f} % of what it does"
+        )
+    if others:
+        reason += f"; nearly as likely: {' or '.join(others)}"
     return known, replace(
         naming,
         answer="composed",
@@ -356,16 +380,22 @@ def with_composed(
         probability=odds[names[0]],
         candidates=(*terms, *naming.candidates),
         odds={**dict.fromkeys(names, odds[names[0]]), **odds},
-        reason=(
-            f"the best of the catalogue, {', '.join(rivals)}, explains "
-            f"{100.0 * listed / gain:.0f} % of what it does"
-            if rivals
-            else naming.reason
-        ),
+        reason=reason,
         cross_validated=validated,
         explained=explained_share(search.project, known, terms)[0],
         sizes={name: comparison.sizes[name] for name in names},
     )
+
+
+def _as_likely(found: Sequence[Candidate]) -> list[str]:
+    """Return the terms nearly as likely as the first, each of another path."""
+    best, *rest = found
+    by_path = {read(best.name.removeprefix(PREFIX)).path: ""}
+    for one in rest:
+        words = one.name.removeprefix(PREFIX)
+        if one.log_evidence >= best.log_evidence - AS_LIKELY:
+            by_path.setdefault(read(words).path, words)
+    return [words for words in by_path.values() if words]
 
 
 def _gain(

@@ -11,7 +11,13 @@ import pytest
 from bstm_daemon.analysis.gap import composing, workflow
 from bstm_daemon.analysis.gap.advising import samples_of
 from bstm_daemon.analysis.gap.comparison import with_effects
-from bstm_daemon.analysis.gap.composing import Search, cost, with_composed
+from bstm_daemon.analysis.gap.composing import (
+    Search,
+    _as_likely,
+    cost,
+    with_composed,
+)
+from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.holdout_comparison import REFITTED
 from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import recorded
@@ -108,9 +114,11 @@ def test_the_hidden_term_is_first_and_of_its_size(
 
     found = search.best([])
 
-    assert found is not None
-    assert found[0].name == PREFIX + text
-    size = comparison.sizes[found[0].name] * found[0].strength
+    best = found[0][0]
+    assert best.name == PREFIX + text
+    evidence = [one.log_evidence for one, _ in found]
+    assert evidence == sorted(evidence, reverse=True)
+    size = comparison.sizes[best.name] * best.strength
     assert size == pytest.approx(1.5, rel=0.1)
 
 
@@ -187,6 +195,25 @@ def test_a_composed_term_is_answered_beside_what_is_known(
     assert naming.probability == naming.odds[PREFIX + text]
     assert set(naming.cross_validated) == {"made", "b"}
     assert min(naming.cross_validated.values()) > 0.0
+
+
+def test_terms_of_other_paths_that_are_nearly_as_likely_are_told() -> None:
+    """Each path once, by its best; not what is three or more behind."""
+
+    def term(text: str, log_evidence: float) -> Candidate:
+        return Candidate(PREFIX + text, 1.0, 0.1, 20.0, log_evidence, 0.3)
+
+    found = [
+        term("heat at fluid, driving", 15.0),
+        term("heat at fluid, braking", 14.8),
+        term("disc to fluid", 14.1),
+        term("disc to fluid, wet", 13.0),
+        term("disc to air", 12.0),
+        term("pad_back to fluid", 11.9),
+    ]
+
+    assert _as_likely(found) == ["disc to fluid", "disc to air"]
+    assert _as_likely(found[:2]) == []
 
 
 @pytest.mark.slow  # two searches and a fit

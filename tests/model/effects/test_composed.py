@@ -152,6 +152,24 @@ def test_a_latch_stays_and_what_fades_fades(corner: Make) -> None:
     ] == pytest.approx(0.37, abs=0.01)
 
 
+def test_what_is_warming_is_whole_after_its_time_of_driving(
+    corner: Make,
+) -> None:
+    """In proportion to the time driven; parked it fades."""
+    words = "warming within 200 s of driving"
+    made = corner("composed", **{f"heat at fluid, {words}": 30.0})
+    found = []
+
+    for seconds, speed_ms in (
+        *((50.0, 20.0), (250.0, 5.0)),
+        *((200.0, 0.0), (100.0, 20.0)),
+    ):
+        made.drive(seconds, speed_ms=speed_ms)
+        found.append(made["composed_fluid_warming_within_200_s_of_driving"])
+
+    assert found == pytest.approx([0.25, 1.0, 0.3679, 0.8679], abs=2e-3)
+
+
 def test_a_share_of_all_leaves_nothing(corner: Make) -> None:
     """Minus one takes the conductance off, and no more than that."""
     whole = tour(corner("composed", **{"share of disc to air": -1.0}))
