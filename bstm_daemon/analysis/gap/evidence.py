@@ -199,18 +199,22 @@ def best_placebo(
 
 
 def cross_validated(
-    layout: Layout, linearised: Linearised, signature: Signature
+    layout: Layout,
+    linearised: Linearised,
+    signature: Signature,
+    beside: Sequence[Column] = (),
 ) -> dict[str, float]:
     """Return the log Bayes factor of each drive, predicted by the others.
 
     How much likelier the effect makes the drive once the others are known:
-    what the others leave open, of tunables and strength, is integrated out.
+    what the others leave open, of tunables, strength and the changes (n,)
+    that are *beside* it, is integrated out.
     """
     found: dict[str, float] = {}
     count = len(layout.drive_names)
     if count < 2:
         return found
-    project = Projector(linearised.jacobian, layout.prior)
+    project = Projector(linearised.jacobian, layout.prior).beside(beside)
     whole = weigh(project, linearised.residual, signature).log_evidence
     for drive, name in enumerate(layout.drive_names):
         others = np.ones(len(linearised.residual), bool)
@@ -221,7 +225,9 @@ def cross_validated(
             linear=signature.linear[others],
             curved=signature.curved[others],
         )
-        project = Projector(linearised.jacobian[others], layout.prior)
+        project = Projector(linearised.jacobian[others], layout.prior).beside(
+            [one[others] for one in beside]
+        )
         without = weigh(project, linearised.residual[others], there)
         found[name] = whole - without.log_evidence
     return found

@@ -7,14 +7,18 @@ effects' where something is plainly missing that no effect explains.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import sqrt
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import are_twins, is_change
+from bstm_daemon.analysis.gap.changes import (
+    are_twins,
+    is_change,
+    of_sensor,
+)
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     best_placebo,
@@ -82,6 +86,10 @@ right ones reach 0.92 with as much left (`docs/evidence-gap.md`)."""
 AGAINST: Final = 3.0
 """Log Bayes factor by which a drive, predicted by the others, may speak
 against an effect."""
+
+SMALL: Final = 0.2
+"""Strength up to which a sensor may err on one day alone: 3 s of response,
+1.2 s of a clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +287,12 @@ def _named(
             f"{first.name} would be {abs(first.strength):.1f} times its "
             "typical size: rather something similar"
         )
-    unsure = {one.name for one in further if may_stand_in(one, most[one.name])}
+    unsure = {
+        one.name
+        for one in further
+        if may_stand_in(one, most[one.name])
+        or _of_some_days(layout, linearised, one, several.chosen)
+    }
     several = replace(
         several,
         sure=tuple(name for name in several.sure if name not in unsure),
@@ -307,6 +320,30 @@ def _named(
             f"{100 * explained:.0f} % of what all together could"
         )
     return answer
+
+
+def is_contradicted(one: Candidate, validated: Mapping[str, float]) -> bool:
+    """Return whether a drive, predicted by the others, speaks against *one*.
+
+    Of a small error of a sensor, whether one is no likelier with it.
+    """
+    small = of_sensor(one.name) and abs(one.strength) < SMALL
+    least = 0.0 if small else -AGAINST
+    return min(validated.values(), default=0.0) < least
+
+
+def _of_some_days(
+    layout: Layout,
+    linearised: Linearised,
+    one: Candidate,
+    chosen: Sequence[Candidate],
+) -> bool:
+    """Return whether a drive contradicts *one* of *chosen*, the others in."""
+    by_name = {each.name: each for each in linearised.signatures}
+    others = [by_name[each.name].column for each in chosen if each is not one]
+    return is_contradicted(
+        one, cross_validated(layout, linearised, by_name[one.name], others)
+    )
 
 
 def _likeliest(naming: Naming, least: float) -> tuple[list[str], float]:

@@ -34,7 +34,11 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     contradicted,
     show,
 )
-from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.naming import (
+    SMALL,
+    Naming,
+    is_contradicted,
+)
 from bstm_daemon.analysis.gap.noise import noise_of
 from bstm_daemon.analysis.gap.recording import Recording
 from bstm_daemon.analysis.gap.residual_heat import Located, locate
@@ -71,10 +75,6 @@ ANY = Question()
 
 LIKELIEST: Final = 3
 """Members that are asked on held-out drives where it is not decided."""
-
-SMALL: Final = 0.2
-"""Strength up to which a sensor may err on one day alone: 3 s of response,
-1.2 s of a clock."""
 
 STEPS = ("locate", "gate", "name", "adopt", "show", "advise")
 
@@ -184,9 +184,9 @@ def _of_one_day(naming: Naming) -> tuple[str, ...]:
     if not (naming.found and naming.candidates):
         return ()
     best = naming.candidates[0]
-    against = min(naming.cross_validated.values(), default=0.0) < 0.0
-    small = abs(best.strength) < SMALL
-    return (best.name,) if against and small and of_sensor(best.name) else ()
+    small = of_sensor(best.name) and abs(best.strength) < SMALL
+    against = is_contradicted(best, naming.cross_validated)
+    return (best.name,) if small and against else ()
 
 
 def _refuted(

@@ -411,6 +411,41 @@ def test_a_drive_may_speak_a_little_against_an_effect(
     assert (found.answer == "name") is named
 
 
+@pytest.mark.parametrize(
+    ("name", "height", "reading", "sure"),
+    [
+        ("caliper_bypass", 8.0, -0.5, True),
+        ("caliper_bypass", 8.0, 2.5, False),
+        # a small error of a sensor is the car's only where no drive lacks it
+        ("thermocouple_lag", 80.0, -0.5, False),
+        ("thermocouple_lag", 80.0, -2.4, True),
+    ],
+)
+def test_what_a_drive_contradicts_beside_the_first_is_not_sure(
+    name: str, height: float, reading: float, *, sure: bool
+) -> None:
+    """The first is in both drives, the second by *reading* in the other."""
+    first = spike(5, 10.0) + spike(105, 10.0)
+    second = spike(0, height) + spike(100, 0.3 * height)
+    strength = 8.0 / height
+    residual = -first - strength * spike(0, height) + reading * spike(100)
+    zero = np.zeros(200)
+    both = tuple(
+        Signature(one, column, zero, column, either_sign=False)
+        for one, column in (("hub_conduction", first), (name, second))
+    )
+    layout: Any = TwoDrives()
+
+    found = name_effect(
+        layout, Linearised(residual, np.zeros((200, 2)), both, (), ())
+    )
+
+    assert found.answer == "name"
+    assert found.names == ("hub_conduction", *([name] if sure else []))
+    if not sure:
+        assert found.reason == f"and another one, perhaps {name}"
+
+
 def test_what_is_not_seen_is_like_nothing() -> None:
     project = Projector(np.zeros((200, 2)), ONES)
     zero = np.zeros(200)
