@@ -18,11 +18,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from bstm_daemon.analysis.gap.naming import GATE_Z
 from bstm_daemon.analysis.gap.recording import read_recording
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.targets import measured_targets
 from bstm_daemon.api import load_config, replay
 from bstm_daemon.cli.vehicle import load_vehicle
+from bstm_daemon.model.effects.composed import is_composed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -47,7 +49,7 @@ the matched control is off there, both as RMS against the truth."""
 SHRINKS: Final = ("as configured", "heat and cooling re-fitted")
 
 HEADER: Final = (
-    *("car", "hidden", "detectable", "answer", "worth"),
+    *("car", "hidden", "detectable", "answer", "worth", "best alone"),
     *(f"shrink, {SHRINKS[0]}", "limit", SHRINKS[1], "limit"),
 )
 """The limit is the shrink of a model that errs with the effect no more than
@@ -273,6 +275,22 @@ def verdict_unlisted(places: Sequence[str], naming: dict[str, Any]) -> str:
     return told.get(answer, "missing")
 
 
+def best_alone(right: set[str], naming: dict[str, Any]) -> str:
+    """Return what the baseline is worth: the candidate of least squares alone.
+
+    It is named from as many standard deviations on as an answer needs.
+    """
+    listed = [
+        one
+        for one in naming["candidates"]
+        if not is_composed(one["name"]) and one["z"] >= GATE_Z
+    ]
+    if not listed:
+        return "silent"
+    best = max(listed, key=lambda one: float(one["z"]))
+    return "right" if best["name"] in right else "wrong"
+
+
 def figures(rows: Sequence[Sequence[str]]) -> str:
     """Return how often each verdict was given, in words."""
     controls = [row[4] for row in rows if row[2] == "-"]
@@ -285,8 +303,12 @@ def figures(rows: Sequence[Sequence[str]]) -> str:
         text += f" Hidden, {which}: {found.total()}; "
         text += ", ".join(f"{one} {n}" for one, n in found.most_common())
         text += "."
+    for which, kept in (("controls", "-"), ("detectable", "yes")):
+        found = Counter(row[5] for row in rows if row[2] == kept)
+        told = ", ".join(f"{one} {n}" for one, n in found.most_common())
+        text += f" The best alone, {which}: {told}." if told else ""
     shrunk = np.array(
-        [row[5:] for row in rows if row[2] != "-" and row[5] != "-"], float
+        [row[6:] for row in rows if row[2] != "-" and row[6] != "-"], float
     )
     if len(shrunk):
         medians = np.median(shrunk, axis=0)
@@ -306,6 +328,7 @@ def row(world: World, case: Case) -> list[str]:
     hidden = case.effect != "none"
     shrink = shown.get("shrink", {}) if found.get("strengths") else {}
     limits = world.limits(case, found) if shrink else ["-", "-"]
+    right = set() if case.unlisted else world.right.get(case.effect, set())
     factors = [f"{shrink[of][0]:.1f}" if shrink else "-" for of in SHRINKS]
     return [
         str(case.seed),
@@ -314,6 +337,7 @@ def row(world: World, case: Case) -> list[str]:
         ", ".join(naming["names"]) or naming["answer"],
         verdict_unlisted(world.places[case.effect], naming)
         if case.unlisted
-        else verdict(world.right.get(case.effect, set()), naming),
+        else verdict(right, naming),
+        best_alone(right, naming),
         *(one for pair in zip(factors, limits, strict=True) for one in pair),
     ]
