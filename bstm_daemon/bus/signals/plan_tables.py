@@ -2,8 +2,8 @@
 
 The live service decodes by them too, and does without NumPy. What a compiled
 pass does not know is left to the other form: a message with an output that
-has conditions or an expression, a 16-bit float, or whole numbers beyond 64
-bits.
+has an expression or a condition on a scaled value, a 16-bit float, or whole
+numbers beyond 64 bits.
 """
 
 from __future__ import annotations
@@ -16,16 +16,19 @@ from bstm_daemon.bus.signals.extraction import (
     INT64_REACH,
     MessagePlan,
     Output,
+    RawSignal,
 )
 from bstm_daemon.bus.signals.reject_reason import RejectReason
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     # it reads DBC files, which a link alone does not need
     from bstm_daemon.bus.signals.signal_map import SignalMap
 
 STANDARD_IDS: Final = 1 << 11
 
-OUTPUT_FIELDS: Final = 13
+OUTPUT_FIELDS: Final = 15
 """Whole numbers of an output's row, as ``plan.h`` has them."""
 
 FACTORS: Final = 6
@@ -59,6 +62,9 @@ class PlanTables:
         factors: Rows of ``FACTORS``.
         gaps: Raw values that stand for no value; an output's row has the
             places of its own.
+        conditions: Rows like those of *outputs*, whose *gaps* are the raw
+            values that a multiplexer must have; an output's row has the
+            places of its own.
         by_hand: Of each message, whether it has no rows: then the decoder has
             to do.
     """
@@ -71,6 +77,7 @@ class PlanTables:
     outputs: array[int]
     factors: array[float]
     gaps: array[int]
+    conditions: array[int]
     by_hand: bytearray
 
     def buffers(self) -> tuple[Any, ...]:
@@ -98,6 +105,7 @@ def plan_tables(signal_map: SignalMap) -> PlanTables:
         outputs=array("q"),
         factors=array("d"),
         gaps=array("Q"),
+        conditions=array("q"),
         by_hand=bytearray(
             None in [_known(plan, output) for output in plan.outputs]
             for plan in plans
@@ -114,6 +122,31 @@ def plan_tables(signal_map: SignalMap) -> PlanTables:
 def _add_row(tables: PlanTables, plan: MessagePlan, output: Output) -> None:
     signal = plan.signals[output.index]
     scaling = _known(plan, output) or 0
+    line, no_line = (signal.scale, signal.offset), (0, 0)
+    whole, real = (line, no_line) if scaling == _WHOLE else (no_line, line)
+    first = len(tables.conditions) // OUTPUT_FIELDS
+    for number, values in output.conditions:
+        switch = plan.signals[number]
+        mask = (1 << switch.length) - 1
+        low, high = switch.raw_limits
+        allowed = [one & mask for one in values if low <= one <= high]
+        tables.conditions.extend((-1, *_bits(plan, switch), *(0, 0, 0, 0)))
+        tables.conditions.extend((*_gaps(tables, allowed), *(0, 0)))
+    tables.outputs.extend(
+        (
+            *(output.role, *_bits(plan, signal), scaling, output.flag),
+            *map(int, whole),
+            *_gaps(tables, signal.unavailable),
+            *(first, len(tables.conditions) // OUTPUT_FIELDS),
+        )
+    )
+    tables.factors.extend(
+        (*real, output.gain, output.bias, output.low, output.high)
+    )
+
+
+def _bits(plan: MessagePlan, signal: RawSignal) -> tuple[int, ...]:
+    """Return where the bits of *signal* are, and what they are."""
     raw = _SIGNED if signal.signed else _UNSIGNED
     if signal.floating:
         raw = _FLOATING
@@ -123,33 +156,29 @@ def _add_row(tables: PlanTables, plan: MessagePlan, output: Output) -> None:
     base = min(signal.start // 8, last)
     lowest = signal.start - 8 * base
     beyond = lowest + signal.length - 8 * _WINDOW_BYTES
-    line, no_line = (signal.scale, signal.offset), (0, 0)
-    whole, real = (line, no_line) if scaling == _WHOLE else (no_line, line)
-    first_gap = len(tables.gaps)
-    tables.gaps.extend(sorted(signal.unavailable))
-    tables.outputs.extend(
-        (
-            output.role,
-            base,
-            max(-beyond, 0) if signal.big_endian else lowest,
-            max(beyond, 0),
-            signal.big_endian,
-            signal.length,
-            raw,
-            scaling,
-            output.flag,
-            *map(int, whole),
-            *(first_gap, len(tables.gaps)),
-        )
+    return (
+        base,
+        max(-beyond, 0) if signal.big_endian else lowest,
+        max(beyond, 0),
+        signal.big_endian,
+        signal.length,
+        raw,
     )
-    tables.factors.extend(
-        (*real, output.gain, output.bias, output.low, output.high)
-    )
+
+
+def _gaps(tables: PlanTables, values: Collection[int]) -> tuple[int, int]:
+    """Add raw *values* to the gaps, and return where they are."""
+    first = len(tables.gaps)
+    tables.gaps.extend(sorted(values))
+    return first, len(tables.gaps)
 
 
 def _known(plan: MessagePlan, output: Output) -> int | None:
     """Return how raw values become physical ones, if the pass knows it."""
-    if output.expression is not None or output.conditions:
+    switches = [plan.signals[one.signal] for one in output.conditions]
+    if output.expression is not None or any(
+        one.floating or not one.identity for one in switches
+    ):
         return None
     signal = plan.signals[output.index]
     scale, offset = signal.scale, signal.offset

@@ -12,7 +12,8 @@
 
 enum {
     O_ROLE, O_BASE, O_SHIFT, O_BEYOND, O_BIG_ENDIAN, O_LENGTH, O_RAW,
-    O_SCALING, O_FLAG, O_SCALE, O_OFFSET, O_GAPS, O_GAPS_END, OUTPUT_FIELDS
+    O_SCALING, O_FLAG, O_SCALE, O_OFFSET, O_GAPS, O_GAPS_END, O_CONDITIONS,
+    O_CONDITIONS_END, OUTPUT_FIELDS
 };
 enum { RAW_UNSIGNED, RAW_SIGNED, RAW_FLOATING };
 enum { SCALING_NONE, SCALING_WHOLE, SCALING_REAL };
@@ -22,14 +23,15 @@ enum { STANDARD_IDS = 2048, EXTENDED_BITS = 29 };
 enum { NO_MESSAGE = -1, WRONG_LENGTH = -2 };
 enum {
     PLAN_STANDARD, PLAN_KEYS, PLAN_MESSAGES, PLAN_LENGTHS, PLAN_STARTS,
-    PLAN_OUTPUTS, PLAN_FACTORS, PLAN_GAPS, PLAN_BY_HAND, PLAN_BUFFERS
+    PLAN_OUTPUTS, PLAN_FACTORS, PLAN_GAPS, PLAN_CONDITIONS, PLAN_BY_HAND,
+    PLAN_BUFFERS
 };
 
 /* The tables, named as in plan_tables.py; `known` messages. */
 typedef struct {
     Py_buffer view[PLAN_BUFFERS];
     const int32_t *standard, *messages;
-    const int64_t *keys, *lengths, *starts, *outputs;
+    const int64_t *keys, *lengths, *starts, *outputs, *conditions;
     const double *factors;
     const uint64_t *gaps;
     const uint8_t *by_hand;
@@ -116,6 +118,17 @@ static inline int is_gap(uint64_t bits, const int64_t *output,
     return 0;
 }
 
+/* A condition is a row of an output whose gaps are what its bits may be. */
+static inline int holds(const Plan *p, const uint8_t *data,
+                        const int64_t *output)
+{
+    for (int64_t i = output[O_CONDITIONS]; i < output[O_CONDITIONS_END]; i++) {
+        const int64_t *const one = p->conditions + i * OUTPUT_FIELDS;
+        if (!is_gap(bits_of(data, one), one, p->gaps)) return 0;
+    }
+    return 1;
+}
+
 /* The sample of an output in *value: -1, or why it is none. */
 static inline int sample_of(const uint8_t *data, const int64_t *output,
                             const double *f, const uint64_t *gaps,
@@ -162,6 +175,7 @@ static inline Py_ssize_t samples_of(const Plan *p, Py_ssize_t message,
     Py_ssize_t samples = 0;
     for (int64_t o = p->starts[message]; o < p->starts[message + 1]; o++) {
         const int64_t *const output = p->outputs + o * OUTPUT_FIELDS;
+        if (!holds(p, data, output)) continue;
         const int reason = sample_of(data, output, p->factors + o * FACTORS,
                                      p->gaps, values + samples);
         if (reason >= 0) counts[reason]++;
@@ -171,8 +185,8 @@ static inline Py_ssize_t samples_of(const Plan *p, Py_ssize_t message,
 }
 
 /* `size`: bytes of the frames, 8 at least, that may be read. */
-static inline const char *wrong_with_output(const int64_t *output,
-                                            int64_t gaps, int64_t size)
+static inline const char *wrong_with_row(const int64_t *output, int64_t gaps,
+                                         int64_t size)
 {
     const int64_t length = output[O_LENGTH], beyond = output[O_BEYOND];
     const int64_t shift = output[O_SHIFT];
@@ -190,6 +204,21 @@ static inline const char *wrong_with_output(const int64_t *output,
     return NULL;
 }
 
+static inline const char *wrong_with_output(const Plan *p,
+                                            const int64_t *output,
+                                            int64_t size)
+{
+    const int64_t gaps = p->view[PLAN_GAPS].len / 8;
+    const int64_t first = output[O_CONDITIONS], end = output[O_CONDITIONS_END];
+    const char *wrong = wrong_with_row(output, gaps, size);
+    if (first < 0 || end < first
+        || end > p->view[PLAN_CONDITIONS].len / 8 / OUTPUT_FIELDS)
+        return "a signal's conditions are out of range";
+    for (int64_t i = first; i < end && wrong == NULL; i++)
+        wrong = wrong_with_row(p->conditions + i * OUTPUT_FIELDS, gaps, size);
+    return wrong;
+}
+
 static inline const char *wrong_with_plan(const Plan *p)
 {
     const Py_buffer *const view = p->view;
@@ -200,7 +229,8 @@ static inline const char *wrong_with_plan(const Plan *p)
         || view[PLAN_STARTS].len / 8 != p->known + 1 || p->starts[0] != 0
         || p->starts[p->known] != total
         || view[PLAN_OUTPUTS].len / 8 != total * OUTPUT_FIELDS
-        || view[PLAN_FACTORS].len / 8 != total * FACTORS)
+        || view[PLAN_FACTORS].len / 8 != total * FACTORS
+        || view[PLAN_CONDITIONS].len / 8 % OUTPUT_FIELDS != 0)
         return "the plan has the wrong length";
     for (Py_ssize_t m = 0; m < p->known; m++) {
         if (size_of(p, m) < 0) return "the plan is out of order";
@@ -209,7 +239,7 @@ static inline const char *wrong_with_plan(const Plan *p)
     for (Py_ssize_t m = 0; m < p->known; m++)
         for (int64_t o = p->starts[m]; o < p->starts[m + 1]; o++) {
             const char *const wrong = wrong_with_output(
-                p->outputs + o * OUTPUT_FIELDS, view[PLAN_GAPS].len / 8,
+                p, p->outputs + o * OUTPUT_FIELDS,
                 p->lengths[m] < 8 ? 8 : p->lengths[m]);
             if (wrong != NULL) return wrong;
         }
@@ -220,15 +250,15 @@ static inline const char *wrong_with_plan(const Plan *p)
  * held where they are no plan. */
 static inline int hold_plan(PyObject *tables, Plan *p)
 {
-    static const int wide[PLAN_BUFFERS] = {4, 8, 4, 8, 8, 8, 8, 8, 1};
+    static const int wide[PLAN_BUFFERS] = {4, 8, 4, 8, 8, 8, 8, 8, 8, 1};
     Py_buffer *const v = p->view;
     if (PyTuple_Size(tables) != PLAN_BUFFERS) {
         if (!PyErr_Occurred())
             PyErr_SetString(PyExc_ValueError, "the plan has other tables");
         return -1;
     }
-    if (!PyArg_ParseTuple(tables, "y*y*y*y*y*y*y*y*y*", v, v + 1, v + 2,
-                          v + 3, v + 4, v + 5, v + 6, v + 7, v + 8)
+    if (!PyArg_ParseTuple(tables, "y*y*y*y*y*y*y*y*y*y*", v, v + 1, v + 2,
+                          v + 3, v + 4, v + 5, v + 6, v + 7, v + 8, v + 9)
         || bstm_widths(PLAN_BUFFERS, v, wide) < 0)
         return -1;
     p->standard = p->view[PLAN_STANDARD].buf;
@@ -239,6 +269,7 @@ static inline int hold_plan(PyObject *tables, Plan *p)
     p->outputs = p->view[PLAN_OUTPUTS].buf;
     p->factors = p->view[PLAN_FACTORS].buf;
     p->gaps = p->view[PLAN_GAPS].buf;
+    p->conditions = p->view[PLAN_CONDITIONS].buf;
     p->by_hand = p->view[PLAN_BY_HAND].buf;
     p->buses = p->view[PLAN_STANDARD].len / 4 / STANDARD_IDS;
     p->key_count = p->view[PLAN_KEYS].len / 8;

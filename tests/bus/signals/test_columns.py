@@ -15,6 +15,7 @@ from bstm_daemon.bus.signals.columns import ChunkDecoder, Events
 from bstm_daemon.bus.signals.decoder import Decoder
 from bstm_daemon.bus.signals.expression import parse_expression
 from bstm_daemon.bus.signals.extraction import (
+    Condition,
     FrameKey,
     MessagePlan,
     Output,
@@ -186,6 +187,13 @@ OUTPUTS_OF_ONE = st.tuples(
     st.sampled_from([(-1e300, 1e300), (-100.0, 100.0)]),
     st.booleans(),
 )
+SWITCHES = st.tuples(
+    st.integers(0, 60),
+    st.integers(1, 4),
+    *(st.booleans(), st.booleans()),
+    st.sampled_from([1, 1, 1, 2]),
+    st.frozensets(st.integers(-9, 17)),
+)
 PAYLOADS = st.one_of(
     st.binary(min_size=8, max_size=8),
     st.sampled_from([b"\0" * 8, b"\xff" * 8, b"\xfe" * 8]),
@@ -197,15 +205,18 @@ PAYLOADS = st.one_of(
     signals=st.lists(
         st.tuples(RAW_SIGNALS, OUTPUTS_OF_ONE), min_size=1, max_size=5
     ),
+    switches=st.lists(SWITCHES, max_size=2),
     sum_of_all=st.booleans(),
     payloads=st.lists(PAYLOADS, min_size=1, max_size=9),
 )
 def test_signals_side_by_side_give_what_single_frames_give(
     signals: list[tuple[RawSignal, Any]],
+    switches: list[tuple[int, int, bool, bool, int, frozenset[int]]],
     payloads: list[bytes],
     *,
     sum_of_all: bool,
 ) -> None:
+    """With multiplexers before every second one."""
     raws = tuple(
         replace(raw, name=f"s{number}")
         for number, (raw, _) in enumerate(signals)
@@ -218,6 +229,15 @@ def test_signals_side_by_side_give_what_single_frames_give(
         tree = parse_expression(" + ".join(raw.name for raw in raws))
         first = outputs[0]
         outputs.append(replace(first, role=77, expression=tree))
+    conditions = tuple(
+        Condition(len(raws) + number, values)
+        for number, (*_, values) in enumerate(switches)
+    )
+    outputs[::2] = [replace(o, conditions=conditions) for o in outputs[::2]]
+    raws += tuple(
+        RawSignal(f"m{number}", *place, False, scale, 0)
+        for number, (*place, scale, _) in enumerate(switches)
+    )
     key = FrameKey(0, 0x123, extended=False)
     plan = MessagePlan(key, "M", 8, False, raws, tuple(outputs))
     signal_map = SignalMap((BUSES[0],), {key: plan}, (1,))
@@ -298,9 +318,10 @@ PLAN: dict[str, Any] = {
     "messages": np.zeros(1, np.int32),
     "lengths": np.array([8]),
     "starts": np.array([0, 1]),
-    "outputs": np.array([[0, 0, 56, 0, 0, 8, 0, 0, 0, 0, 0, 0, 0]]),
+    "outputs": np.array([[0, 0, 56, 0, 0, 8, *([0] * 9)]]),
     "factors": np.ones((1, 6)),
     "gaps": np.zeros(1, np.uint64),
+    "conditions": np.zeros(0, np.int64),
     "by_hand": np.zeros(1, np.uint8),
 }
 """The tables of one message with one output."""
@@ -338,10 +359,17 @@ def output_row(
     length: int = 8,
     raw: int = 0,
     gaps: tuple[int, int] = (0, 0),
+    *,
+    conditions: tuple[int, int] = (0, 0),
 ) -> npt.NDArray[np.int64]:
     """Return the row of one output for the compiled pass."""
     return np.array(
-        [[0, base, shift, beyond, 0, length, raw, 0, 0, 0, 0, *gaps]]
+        [
+            [
+                *(0, base, shift, beyond, 0, length, raw),
+                *(0, 0, 0, 0, *gaps, *conditions),
+            ]
+        ]
     )
 
 
@@ -390,6 +418,21 @@ def output_row(
         {"outputs": output_row(gaps=(0, 2))},
         {"outputs": output_row(gaps=(-1, 1))},
         {"outputs": output_row(gaps=(1, 0))},
+        {"outputs": output_row(conditions=(0, 1))},
+        {"outputs": output_row(conditions=(-1, 0))},
+        {
+            "outputs": output_row(conditions=(1, 0)),
+            "conditions": output_row(),
+        },
+        {
+            "outputs": output_row(conditions=(0, 1)),
+            "conditions": output_row(base=1),
+        },
+        {
+            "outputs": output_row(conditions=(0, 1)),
+            "conditions": output_row(gaps=(0, 2)),
+        },
+        {"conditions": np.zeros(14, np.int64)},
         {"factors": np.ones((1, 5))},
         {"times": np.zeros(2, np.int64)},
         {"roles": np.zeros(2, np.int32)},
@@ -428,6 +471,25 @@ def test_nothing_is_held_after_the_compiled_pass(
         extracted(compiled, data=data, **change)
 
     data.append(0)  # which would fail, were it held
+
+
+@pytest.mark.parametrize(("switch", "samples"), [(3, 1), (5, 1), (4, 0)])
+def test_a_sample_is_where_the_multiplexer_has_one_of_its_values(
+    switch: int, samples: int
+) -> None:
+    compiled = extension()
+    if compiled is None:
+        pytest.skip("the compiled pass is not installed")
+
+    found = extracted(
+        compiled,
+        data=np.array([[switch, 0, 0, 0, 0, 0, 0, 0]], np.uint8),
+        outputs=output_row(conditions=(0, 1)),
+        conditions=output_row(shift=0, gaps=(0, 2)),
+        gaps=np.array([3, 5], np.uint64),
+    )
+
+    assert found == (1, samples)
 
 
 def test_an_unknown_message_of_the_plan_gives_no_sample() -> None:
