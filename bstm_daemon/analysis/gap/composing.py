@@ -310,10 +310,11 @@ def _widened(term: Term) -> list[Term]:
     ]
 
 
-CLEAR: Final = 15.0
+CLEAR: Final = 10.0
 CLEARER: Final = 0.5
 """By so much of the log-likelihood, and this share of the catalogue's own
-gain, a composition must explain more for a name to be withheld."""
+gain, a composition must explain more for a name to be withheld. Where the
+name is right it explains at most 5 more, or a third."""
 
 
 def with_composed(

@@ -23,7 +23,6 @@ from bstm_daemon.analysis.gap.changes import (
     is_listed,
     largest,
 )
-from bstm_daemon.analysis.gap.composing import CLEAR, CLEARER
 from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
 from bstm_daemon.analysis.gap.force_balance import (
@@ -67,6 +66,11 @@ FOURFOLD: Final = 3.9
 """Largest strength of a change by forces, linear in it: four times as
 much as matched. That is no stand-in: a match may find a fifth of what is
 typical."""
+
+BEYOND: Final = 15.0
+BEYOND_SHARE: Final = 0.5
+"""By so much of the log-likelihood, and this share of a name's own gain,
+friction without a name must explain more for the name to be withheld."""
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
@@ -213,7 +217,7 @@ def _with_unnamed(comparison: ForceComparison, known: Linearised) -> Naming:
     columns = [s.linear for s in known.signatures if s.name in names]
     own = np.column_stack(columns)
     listed = fit_terms(project, known.residual, own, FREE).gain
-    if evidence - listed < max(CLEAR, CLEARER * listed):
+    if evidence - listed < max(BEYOND, BEYOND_SHARE * listed):
         return naming
     reason = f"{unnamed.unknown_place} explains more than {', '.join(names)}"
     return unnamed.answered("unknown", (), 1.0 - naming.odds[""], reason)
