@@ -148,7 +148,7 @@ def run(*, full: bool) -> Outcome:
     cars = {"alike": config, "apart": sides_apart(config)}
     drives = {
         (name, *of): factors
-        for name in (WITH_RISK if full else ("city", "parked"))
+        for name in (WITH_RISK if full else ())
         for of, factors in with_risk(cars, signal_map, name).items()
     }
     outcome.goals += [
@@ -160,9 +160,8 @@ def run(*, full: bool) -> Outcome:
             tolerance=0.5,
         )
         for (name, sides, start), (risk, _) in drives.items()
-        if full
     ]
-    outcome.tables = [
+    with_forecast = (
         Table(
             "Real-time factor with risk, forecast and advice, to Parquet",
             ("drive", "sides", "start", "factor", "with --no-forecast"),
@@ -171,6 +170,9 @@ def run(*, full: bool) -> Outcome:
                 for of, (risk, plain) in drives.items()
             ),
         ),
+    )
+    outcome.tables = [
+        *(with_forecast if full else ()),
         Table(
             "CPU time of the stages",
             ("stage", "ms per hour of log", "share to Parquet"),

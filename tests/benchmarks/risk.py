@@ -71,7 +71,6 @@ What is hotter is taken too, whatever its fluid."""
 
 WITHIN_K: Final = 10.0
 KM_FULL: Final = 10_000.0
-KM_QUICK: Final = 50.0
 KM_PART: Final = 250.0
 KM_PASSES: Final = 1500.0
 KM_PASSES_PART: Final = 125.0
@@ -255,7 +254,8 @@ def run(
     other = Descents()
     if full:
         other = descents(round(part * ANOTHER_DAY), day, cache)
-    trips = _mixed(part * KM_FULL if full else KM_QUICK, same, cache)
+    # no goal is of trips
+    trips = _mixed(part * KM_FULL, same, cache) if full else []
     passes = _passes(part * KM_PASSES, same, cache) if full else []
     return outcome_of(cars, found, other, trips, passes)
 
@@ -269,8 +269,8 @@ def outcome_of(
 ) -> Outcome:
     """Return the tables of descents of the *same* day and of mixed driving.
 
-    *day* are those of another day and *passes* trips over passes alone;
-    none, where they were not made.
+    *day* are those of another day, *trips* of mixed driving and *passes* over
+    passes alone; none, where they were not made.
     """
     found, other = same.found, day.found
     about = f"{_about(cars, found)} {_drawn(same, day)}"
@@ -287,7 +287,8 @@ def outcome_of(
     ]
     if other:
         outcome.tables += _tables(other, ", another day")
-    outcome.tables += mixed_tables("Mixed driving", trips)
+    if trips:
+        outcome.tables += mixed_tables("Mixed driving", trips)
     if passes:
         outcome.tables += mixed_tables("Passes alone", passes)
     least = 0.02 if other else 0.06
