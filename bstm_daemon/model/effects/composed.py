@@ -96,7 +96,7 @@ class Form:
         words = self.words.format(f"{number:g}")
         name = re.sub(r"\W+", "_", f"{NAME} {node} {words}")
         if self.memory == "follows":
-            table = Table.from_points(self.x, self.y) if self.x[0] else None
+            table = Table.from_points(self.x, self.y)
             apart = (difference(self.over, name, table),)
             return (Memory(name, "integral", 1.0 / number, apart),)
         if self.memory == "adds":
