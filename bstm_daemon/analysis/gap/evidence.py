@@ -257,6 +257,14 @@ def explained_share(
     return min(few / max(many, few, 1e-9), 1.0), max(many - few, 0.0)
 
 
+def is_clearly_better(gain: float, named: float, least: float) -> bool:
+    """Return whether *gain* is enough for names with the gain *named* to go.
+
+    Both of the log-likelihood; *least* more, and half as much again.
+    """
+    return gain - named >= max(least, 0.5 * named)
+
+
 def unnamed_beside(
     project: Projector, linearised: Linearised, chosen: Sequence[Candidate]
 ) -> float:

@@ -23,7 +23,7 @@ from bstm_daemon.analysis.gap.changes import (
     is_listed,
     largest,
 )
-from bstm_daemon.analysis.gap.evidence import Candidate
+from bstm_daemon.analysis.gap.evidence import Candidate, is_clearly_better
 from bstm_daemon.analysis.gap.fitting import FORM_ERROR
 from bstm_daemon.analysis.gap.force_balance import (
     CHANGE,
@@ -68,9 +68,8 @@ much as matched. That is no stand-in: a match may find a fifth of what is
 typical."""
 
 BEYOND: Final = 15.0
-BEYOND_SHARE: Final = 0.5
-"""By so much of the log-likelihood, and this share of a name's own gain,
-friction without a name must explain more for the name to be withheld."""
+"""By so much of the log-likelihood at least friction without a name must
+explain more for a name to be withheld."""
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
@@ -217,7 +216,7 @@ def _with_unnamed(comparison: ForceComparison, known: Linearised) -> Naming:
     columns = [s.linear for s in known.signatures if s.name in names]
     own = np.column_stack(columns)
     listed = fit_terms(project, known.residual, own, FREE).gain
-    if evidence - listed < max(BEYOND, BEYOND_SHARE * listed):
+    if not is_clearly_better(evidence, listed, BEYOND):
         return naming
     reason = f"{unnamed.unknown_place} explains more than {', '.join(names)}"
     return unnamed.answered("unknown", (), 1.0 - naming.odds[""], reason)

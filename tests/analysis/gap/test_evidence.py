@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.changes import LARGEST
+from bstm_daemon.analysis.gap.composing import CLEAR
 from bstm_daemon.analysis.gap.evidence import (
     Candidate,
     cross_validated,
     explained_share,
     held_back,
+    is_clearly_better,
     may_stand_in,
     missing_evidence,
     missing_probability,
@@ -623,3 +625,20 @@ def test_what_would_be_detected_is_told_of_small_signatures_too() -> None:
     found = weigh(project, np.zeros(100), one)
 
     assert found.reach == pytest.approx(3.5 / 0.1)
+
+
+@pytest.mark.parametrize(
+    ("gain", "named", "better"),
+    [
+        (29.9, 20.0, False),
+        (30.1, 20.0, True),
+        # half as much again, where that is more
+        (89.9, 60.0, False),
+        (90.1, 60.0, True),
+        (9.9, 0.0, False),
+    ],
+)
+def test_a_name_goes_for_what_is_clearly_better(
+    gain: float, named: float, *, better: bool
+) -> None:
+    assert is_clearly_better(gain, named, CLEAR) is better
