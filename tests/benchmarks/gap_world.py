@@ -14,6 +14,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -24,7 +25,7 @@ from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.targets import measured_targets
 from bstm_daemon.api import load_config, replay
 from bstm_daemon.cli.vehicle import load_vehicle
-from bstm_daemon.model.effects.composed import is_composed
+from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -83,11 +84,13 @@ class World(ABC):
     """Cases under *folder*, made as they are asked for.
 
     ``right`` are the right names of what is hidden; ``places`` the paths of a
-    description without them, none for an error of a sensor.
+    description without them, none for an error of a sensor; ``drivers`` what
+    it may be said to depend on, anything where there is no entry.
     """
 
     right: Mapping[str, set[str]]
     places: Mapping[str, tuple[str, ...]]
+    drivers: Mapping[str, frozenset[str]] = MappingProxyType({})
 
     def __init__(self, folder: Path) -> None:
         """Keep in *folder* what is made."""
@@ -258,17 +261,24 @@ def verdict(right: set[str], naming: dict[str, Any]) -> str:
     return "right" if named and names <= right else "right among"
 
 
-def verdict_unlisted(places: Sequence[str], naming: dict[str, Any]) -> str:
+def verdict_unlisted(
+    places: Sequence[str],
+    naming: dict[str, Any],
+    drivers: frozenset[str] | None = None,
+) -> str:
     """Return what *naming* is worth where no candidate describes what is.
 
-    ``right`` without a name, or described at its place first; ``elsewhere``;
-    ``missing`` where it does not decide.
+    ``right`` without a name, or described first at its place and by nothing
+    but its *drivers* and phases; ``elsewhere``; ``missing`` where it does not
+    decide.
     """
     answer = naming["answer"]
     if answer == "composed":
-        first = naming["names"][0]
-        there = any(path in first for path in places)
-        return "right" if there else "elsewhere"
+        first = read(naming["names"][0].removeprefix(PREFIX))
+        there = any(path in first.path.text for path in places)
+        said = [{form.driver, form.words} for form, _ in first.clauses]
+        true = drivers is None or all(words & drivers for words in said)
+        return "right" if there and true else "elsewhere"
     if answer in NAMED:
         return "wrong"
     told = {"nothing": "silent", "unknown": "right"}
@@ -335,7 +345,9 @@ def row(world: World, case: Case) -> list[str]:
         case.effect if hidden else f"none ({', '.join(case.drives)})",
         ("yes" if world.detectable(case) else "no") if hidden else "-",
         ", ".join(naming["names"]) or naming["answer"],
-        verdict_unlisted(world.places[case.effect], naming)
+        verdict_unlisted(
+            world.places[case.effect], naming, world.drivers.get(case.effect)
+        )
         if case.unlisted
         else verdict(right, naming),
         best_alone(right, naming),

@@ -97,11 +97,29 @@ PLACES: Final[dict[str, tuple[str, ...]]] = {
 """Hidden effect to the paths of a description without its names; an error of a
 sensor has none."""
 
+DRIVERS: Final[dict[str, frozenset[str]]] = {
+    "mu_fade": frozenset({"temperature", "braking"}),
+    "mu_progressive": frozenset({"time", "braking"}),
+    "pad_half_worn": frozenset(),
+    "disc_worn": frozenset(),
+    "closed_rim": frozenset({"speed", "driving"}),
+    "dragging_caliper": frozenset({"speed", "driving", "brake off"}),
+    "extra_mass": frozenset({"braking"}),
+    "accel_offset": frozenset({"braking"}),
+    "shim_degraded": frozenset(),
+    "hammerhead_strong": frozenset(),
+    "pad_k_rise": frozenset({"temperature"}),
+    "engine_heat": frozenset({"time", "speed", "driving", "parked"}),
+    "tc_debonded": frozenset(),
+    "hub_drum_heat": frozenset({"time", "driving", "braking"}),
+}
+"""And to the drivers and phases that it may be said to depend on."""
+
 
 class SecondWorld(World):
     """The simulator, and what was made with it."""
 
-    right, places = RIGHT, PLACES
+    right, places, drivers = RIGHT, PLACES, DRIVERS
 
     def __init__(self, folder: Path) -> None:
         """Find the simulator by the environment.
