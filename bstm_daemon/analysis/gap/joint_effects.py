@@ -3,8 +3,8 @@
 Forward search alone fails where the mixture of two looks like a third one, so
 all pairs are weighed together; each of a pair must be plain beside the other.
 A first effect whose form is not exact leaves residuals that another can take
-up: a further one must explain a share of what the first does, and a twin be
-plain beside the first as it is at its strength.
+up: a further one must explain a share of what the first does, and a twin more
+of it, beside the first as it is at its strength.
 """
 
 from collections.abc import Sequence
@@ -28,9 +28,10 @@ NEXT_SHARE: Final = 0.1
 """A further effect needs this log Bayes factor, these standard deviations
 beside the others, and this share of the first one's gain."""
 
-SENSOR_SHARE: Final = 0.3
-"""An error of a sensor beside an effect on the brake needs more: a large
-effect of another form leaves its own rate of change, as late sensors do."""
+FORM_SHARE: Final = 0.3
+"""A twin, and an error of a sensor beside an effect on the brake, need more: a
+large effect of another form leaves what its twin does, and its own rate of
+change, as late sensors do."""
 
 MOST_EFFECTS: Final = 3
 THIRD_Z: Final = 6.0
@@ -136,14 +137,13 @@ class _Search:
         signature = self._by_name[other]
         project = self._project.beside([own])
         return not self.plain(
-            weigh(project, self._linearised.residual, signature)
+            weigh(project, self._linearised.residual, signature), FORM_SHARE
         )
 
-    def plain(self, one: Candidate) -> bool:
+    def plain(self, one: Candidate, share: float = NEXT_SHARE) -> bool:
         """Whether *one* is more than what the others' forms leave."""
-        share = NEXT_SHARE
         if of_sensor(one.name) and not self._of_sensor:
-            share = SENSOR_SHARE
+            share = FORM_SHARE
         return (
             one.log_evidence >= NEXT_EVIDENCE
             and one.z >= NEXT_Z

@@ -466,11 +466,11 @@ def test_what_is_small_beside_the_first_is_not_added(
     [
         ("pad_wear", "clock_offset", False),
         ("pad_wear", "disc_hat", True),
-        ("thermocouple_lag", "disc_hat", True),
-        ("thermocouple_lag", "thermocouple_offset", True),
+        ("thermocouple_lag", "disc_hat", False),
+        ("thermocouple_offset", "clock_offset", True),
     ],
 )
-def test_a_late_sensor_beside_an_effect_must_be_plainer(
+def test_a_late_sensor_and_a_twin_beside_an_effect_must_be_plainer(
     columns: dict[str, np.ndarray],
     first: str,
     second: str,
@@ -511,7 +511,7 @@ def test_a_twin_that_makes_up_for_the_form_is_not_added() -> None:
     # what is no twin may be beside it, and so may a twin that is plain
     assert chosen(bends, other) == ["thermocouple_lag", "wet_disc"]
     plain = signature("clock_offset", own)
-    both = bends - plain.at(4.0)
+    both = noise - lag.at(1.0) - plain.at(2.0)
     assert chosen(both, plain) == ["clock_offset", "thermocouple_lag"]
 
 

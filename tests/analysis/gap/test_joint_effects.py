@@ -40,3 +40,7 @@ def test_a_twin_that_makes_up_for_a_strength_is_no_second_effect(
     assert is_form(-own)
     # far more of it than the form of the one
     assert not is_form(-own + 6.0 * curved)
+    if strength == 0.5:
+        # plain, with 26 and 45 % of what the one explains
+        assert is_form(-own - 0.8 * curved)
+        assert not is_form(-own - 1.2 * curved)
