@@ -23,7 +23,7 @@ from bstm_daemon.analysis.statistics.evidence import (
 from bstm_daemon.analysis.statistics.series import Column, Indices, Matrix
 
 NEXT_EVIDENCE: Final = 5.0
-NEXT_Z: Final = 4.2
+NEXT_Z: Final = 5.0
 NEXT_SHARE: Final = 0.1
 """A further effect needs this log Bayes factor, these standard deviations
 beside the others, and this share of the first one's gain."""
