@@ -54,9 +54,9 @@ was driven."""
 
 FULL: Final = 2000
 ANOTHER_DAY: Final = 1000
-QUICK: Final = 50
+QUICK: Final = 30
 CARS_FULL: Final = 24
-CARS_QUICK: Final = 2
+CARS_QUICK: Final = 1
 CHUNK: Final = 50
 TRIALS: Final = 12
 """Fluids tried for a descent."""
@@ -164,22 +164,25 @@ def descents(
     """
     cars = fleet(setting.cars, setting.seed, cache)
     every = Descents()
-    for number in range(-(-count // CHUNK)):
+    size = min(count, CHUNK)
+    for number in range(-(-count // size)):
         if cache is None:
-            every.add(_chunk(number, cars, setting))
+            every.add(_chunk(number, size, cars, setting))
             continue
         path = cache / f"{setting.name}-{number}.pickle"
         if not path.exists():
-            path.write_bytes(pickle.dumps(_chunk(number, cars, setting)))
+            path.write_bytes(pickle.dumps(_chunk(number, size, cars, setting)))
         every.add(pickle.loads(path.read_bytes()))  # noqa: S301  (our own)
     return every
 
 
-def _chunk(number: int, cars: list[FleetCar], setting: Setting) -> Descents:
+def _chunk(
+    number: int, size: int, cars: list[FleetCar], setting: Setting
+) -> Descents:
     rng = np.random.default_rng((setting.seed, number, setting.another_day))
     made = Descents()
     far = 0
-    while len(made.found) < CHUNK:
+    while len(made.found) < size:
         cases = [
             draw_case(rng, cars, another_day=setting.another_day)
             for _ in range(CHUNK)
