@@ -7,6 +7,7 @@ longer and longer pauses. Topics and fields are in ``docs/connected.md``.
 import json
 import socket
 import ssl
+import threading
 import time
 from collections.abc import Iterable
 from typing import Any, Final
@@ -123,6 +124,10 @@ class Bridge:
         self._status = "online"
         self._log = structlog.get_logger()
         self.confirmed = self.given_up = self._kept = 0
+        self._publishing = threading.Lock()
+        self._newest: dict[str, str] = {}
+        self._records = 0
+        self._answered = False
         client.will_set(self.topic("status"), "offline", qos=1, retain=True)
         client.on_socket_open = _send_at_once
         client.on_connect = self._on_connect
@@ -141,8 +146,14 @@ class Bridge:
 
     def publish(self, record: Record) -> None:
         """Publish *record*, one message a branch."""
-        for branch, values in branches(record).items():
-            self._send(self.topic(branch), json.dumps(values))
+        with self._publishing:
+            self._records += 1
+            self._newest = {
+                self.topic(branch): json.dumps(values)
+                for branch, values in branches(record).items()
+            }
+            for topic, payload in self._newest.items():
+                self._send(topic, payload)
 
     def report(self, status: str) -> None:
         """Publish *status* (online, silent) if it is another one."""
@@ -167,7 +178,23 @@ class Bridge:
             self._kept += 1
 
     def _on_publish(self, *_: Any) -> None:
+        if self.unconfirmed == 1:
+            self._retain_newest()
         self.confirmed += 1
+
+    def _retain_newest(self) -> None:
+        """Publish the last record again if an older one may have come later.
+
+        What waited for the broker's answer is sent after what came while it
+        answered.
+        """
+        overtaken = self._answered and self._records > 1
+        self._answered, self._records = False, 0
+        # a record that is being published is newer
+        if overtaken and self._publishing.acquire(blocking=False):
+            for topic, payload in self._newest.items():
+                self._send(topic, payload)
+            self._publishing.release()
 
     def _on_connect(
         self, _client: Client, _data: Any, _flags: Any, code: Any, _more: Any
@@ -175,6 +202,7 @@ class Bridge:
         self._log.info("broker_answered", reason=str(code))
         if code.is_failure:
             return
+        self._answered = True
         # the last will said offline
         self._send(self.topic("status"), self._status)
         if self._discovery is not None:

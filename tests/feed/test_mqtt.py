@@ -419,6 +419,34 @@ def test_a_slow_broker_gets_everything(
     subscriber.close()
 
 
+def test_the_newest_record_is_retained_though_one_overtook_another(
+    broker: Mosquitto, feed: Feed, run: Run
+) -> None:
+    """The second comes while the broker answers, which the first waits for."""
+    with (
+        socket.create_server(("127.0.0.1", 0)) as slow,
+        socket.create_connection(("127.0.0.1", broker.port)) as onward,
+    ):
+        running = run(slow.getsockname()[1])
+        feed.add()
+        accepted = slow.accept()[0]
+        # so it has waited, and its connection is open
+        assert accepted.recv(1024, socket.MSG_PEEK)
+        feed.add()
+        wait_for(lambda: running.bridge.unconfirmed == 10, "not published")
+        for one in ((accepted, onward, 0.0), (onward, accepted, 0.0)):
+            threading.Thread(target=pump, args=one, daemon=True).start()
+        wait_for(lambda: running.bridge.confirmed >= 10 + 1, "not confirmed")
+        running.end()
+        accepted.close()
+    feed.end()
+
+    subscriber = Subscriber(broker.port)
+    wait_for(lambda: subscriber.of(TOPIC), "nothing is retained")
+    assert json.loads(subscriber.of(TOPIC)[-1])["DiscTemperature"] == 301.0
+    subscriber.close()
+
+
 def test_a_broker_that_refuses_is_asked_again_with_right_credentials(
     tmp_path: Path, feed: Feed, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
