@@ -1,6 +1,8 @@
-"""Twins: which of two is only the other's error of form."""
+"""Further effects, and twins that only make up for the other's form."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,3 +46,30 @@ def test_a_twin_that_makes_up_for_a_strength_is_no_second_effect(
         # plain, with 26 and 45 % of what the one explains
         assert is_form(-own - 0.8 * curved)
         assert not is_form(-own - 1.2 * curved)
+
+
+@pytest.mark.parametrize(
+    ("z", "log_evidence", "first_gain", "is_plain"),
+    [
+        (5.1, 5.1, 100.0, True),
+        (4.9, 5.1, 100.0, False),
+        (5.1, 4.9, 100.0, False),
+        (5.1, 5.1, 0.5 * 5.1**2 / 0.11, True),
+        (5.1, 5.1, 0.5 * 5.1**2 / 0.09, False),
+    ],
+)
+def test_what_a_further_effect_needs(
+    z: float, log_evidence: float, first_gain: float, *, is_plain: bool
+) -> None:
+    """Five deviations, a log Bayes factor of 5, a tenth of the first gain."""
+    own = np.ones(4)
+    one = Signature("wet_disc", own, 0.0 * own, own, either_sign=False)
+    project = Projector(np.zeros((4, 1)), np.ones(1))
+    linearised = Linearised(own, np.zeros((4, 1)), (one,), (), ())
+    found = weigh(project, own, one)
+    first = replace(found, gain=first_gain)
+    search = _Search(project, linearised, [first])
+    second = replace(found, gain=0.5 * z**2, log_evidence=log_evidence)
+
+    assert second.z == pytest.approx(z)
+    assert search.plain(second) is is_plain
