@@ -36,7 +36,12 @@ from bstm_daemon.errors import LogError
 from bstm_daemon.estimator.corner_model import compiled_model, corner_model
 from bstm_daemon.model.effects.catalogue import edited_inputs, effect_class
 from bstm_daemon.model.effects.composed import NAME as COMPOSED
-from bstm_daemon.model.effects.composed import PREFIX, is_composed, read
+from bstm_daemon.model.effects.composed import (
+    PREFIX,
+    bounded,
+    is_composed,
+    read,
+)
 from bstm_daemon.model.effects.effect import STRENGTH
 from bstm_daemon.model.effects.model import CornerModel, corrections_by_role
 from bstm_daemon.roles import ROLE_INDEX
@@ -138,7 +143,7 @@ class Comparison(Layout):
             effects += self.trials[name].effects_at(a)
         if terms:
             effects.append(
-                EffectConfig(name=COMPOSED, parameters=there | terms)
+                EffectConfig(name=COMPOSED, parameters=bounded(there | terms))
             )
         return np.clip(x, self.lower, self.upper), effects
 

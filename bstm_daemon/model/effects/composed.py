@@ -291,6 +291,21 @@ def read(text: str, size: float = 1.0) -> Term:
     return Term(PATHS[first], tuple(clauses), size)
 
 
+def bounded(sizes: Mapping[str, float]) -> dict[str, float]:
+    """Return *sizes* by term, those of a path taking no more than there is."""
+    taken: dict[str, float] = defaultdict(float)
+    for text, size in sizes.items():
+        taken[read(text).path.text] += min(size, 0.0)
+    found = {}
+    for text, size in sizes.items():
+        path = read(text).path
+        most, all_of = SIZES[path.kind][1], taken[path.text]
+        over = size < 0.0 and all_of < most
+        # the sum may not round to more than there is
+        found[text] = size * (1.0 - 1e-12) * most / all_of if over else size
+    return found
+
+
 def is_composed(name: str) -> bool:
     """Whether the candidate *name* is a composed term."""
     return name.startswith(PREFIX)

@@ -21,6 +21,7 @@ from bstm_daemon.model.effects.composed import (
     SIZES,
     Composed,
     Term,
+    bounded,
     is_composed,
     read,
 )
@@ -322,3 +323,18 @@ def test_both_forms_are_equal_bit_for_bit(corner: Make) -> None:
         pytest.skip("the compiled form is not installed")
     assert tour(fast).batch.state == tour(slow).batch.state
     assert fast.batch.ledger == slow.batch.ledger
+
+
+def test_terms_of_a_path_are_held_to_what_there_is() -> None:
+    wet, driving = "share of disc to air, wet", "share of disc to air, driving"
+    sizes = {wet: -0.6, driving: -0.9, "fluid to air": 0.4}
+    least = SIZES["share"][1]
+
+    found = bounded(sizes)
+
+    assert found[wet] + found[driving] == pytest.approx(least)
+    assert Composed.problems(sizes)
+    assert not Composed.problems(found)
+    assert found[wet] / found[driving] == pytest.approx(0.6 / 0.9)
+    assert found["fluid to air"] == 0.4
+    assert bounded({wet: -0.3, driving: 0.5}) == {wet: -0.3, driving: 0.5}
