@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -378,6 +378,32 @@ def test_a_broker_that_accepts_and_never_answers_holds_nothing_up(
     feed.end()
 
 
+class Between:
+    """Stands before a broker: it passes on once somebody has connected."""
+
+    def __init__(self, port: int) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._onward = socket.create_connection(("127.0.0.1", port))
+        self.port: int = self._server.getsockname()[1]
+
+    def accept(self) -> socket.socket:
+        """Return the client's end of its connection."""
+        self._accepted = self._server.accept()[0]
+        return self._accepted
+
+    def pass_on(self, pause_s: float = 0.0) -> None:
+        """Let 1 kB through every *pause_s*, and all that is answered."""
+        for one in (
+            (self._accepted, self._onward, pause_s),
+            (self._onward, self._accepted, 0.0),
+        ):
+            threading.Thread(target=pump, args=one, daemon=True).start()
+
+    def close(self) -> None:
+        for one in (self._accepted, self._onward, self._server):
+            one.close()
+
+
 def pump(source: socket.socket, sink: socket.socket, pause_s: float) -> None:
     """Pass on what comes, 1 kB at a time."""
     with suppress(OSError):
@@ -386,65 +412,53 @@ def pump(source: socket.socket, sink: socket.socket, pause_s: float) -> None:
             time.sleep(pause_s)
 
 
+def retained_degc(broker: Mosquitto) -> float:
+    """Return the disc's temperature in what *broker* retains."""
+    subscriber = Subscriber(broker.port)
+    wait_for(lambda: subscriber.of(TOPIC), "nothing is retained")
+    found: float = json.loads(subscriber.of(TOPIC)[-1])["DiscTemperature"]
+    subscriber.close()
+    return found
+
+
 def test_a_slow_broker_gets_everything(
     broker: Mosquitto, feed: Feed, run: Run
 ) -> None:
     """It takes 100 kB/s at most."""
-    with (
-        socket.create_server(("127.0.0.1", 0)) as slow,
-        socket.create_connection(("127.0.0.1", broker.port)) as onward,
-    ):
-        running = run(slow.getsockname()[1])
+    with closing(Between(broker.port)) as slow:
+        running = run(slow.port)
         began_s = time.monotonic()
         for _ in range(60):
             feed.add()
-        accepted = slow.accept()[0]
-        ways = [
-            threading.Thread(target=pump, args=one, daemon=True)
-            for one in ((accepted, onward, 0.01), (onward, accepted, 0.0))
-        ]
-        for way in ways:
-            way.start()
+        slow.accept()
+        slow.pass_on(0.01)
         wait_for(lambda: running.bridge.confirmed >= 5 * 60, "not confirmed")
         took_s = time.monotonic() - began_s
         running.end()
-        accepted.close()
     feed.end()
 
     assert took_s > 0.5  # it was slow
     assert running.bridge.given_up == 0
-    subscriber = Subscriber(broker.port)
-    wait_for(lambda: subscriber.of(TOPIC), "nothing is retained")
-    assert json.loads(subscriber.of(TOPIC)[-1])["DiscTemperature"] == 359.0
-    subscriber.close()
+    assert retained_degc(broker) == 359.0
 
 
 def test_the_newest_record_is_retained_though_one_overtook_another(
     broker: Mosquitto, feed: Feed, run: Run
 ) -> None:
     """The second comes while the broker answers, which the first waits for."""
-    with (
-        socket.create_server(("127.0.0.1", 0)) as slow,
-        socket.create_connection(("127.0.0.1", broker.port)) as onward,
-    ):
-        running = run(slow.getsockname()[1])
+    with closing(Between(broker.port)) as slow:
+        running = run(slow.port)
         feed.add()
-        accepted = slow.accept()[0]
         # so it has waited, and its connection is open
-        assert accepted.recv(1024, socket.MSG_PEEK)
+        assert slow.accept().recv(1024, socket.MSG_PEEK)
         feed.add()
         wait_for(lambda: running.bridge.unconfirmed == 10, "not published")
-        for one in ((accepted, onward, 0.0), (onward, accepted, 0.0)):
-            threading.Thread(target=pump, args=one, daemon=True).start()
+        slow.pass_on()
         wait_for(lambda: running.bridge.confirmed >= 10 + 1, "not confirmed")
         running.end()
-        accepted.close()
     feed.end()
 
-    subscriber = Subscriber(broker.port)
-    wait_for(lambda: subscriber.of(TOPIC), "nothing is retained")
-    assert json.loads(subscriber.of(TOPIC)[-1])["DiscTemperature"] == 301.0
-    subscriber.close()
+    assert retained_degc(broker) == 301.0
 
 
 def test_a_broker_that_refuses_is_asked_again_with_right_credentials(
