@@ -334,8 +334,14 @@ def _set(table: Any, key: str, change: Change, origin: str) -> None:
     if known is not None:
         was = " ".join(str(known).split())
     table[key] = change.rounded()
-    words = f"{origin}; was {was}" if was else origin
     line = table if inline else table[key]
+    before = f"{origin}; was "
+    if was and said.startswith(before):
+        # another value of the same line
+        others, bracket, older = said.removeprefix(before).partition(" (")
+        line.comment(f"{before}{others}, {was}{bracket}{older}")
+        return
+    words = f"{before}{was}" if was else origin
     line.comment(f"{words} ({said})" if said else words)
 
 

@@ -257,6 +257,27 @@ def test_an_effect_of_the_structure_gets_an_entry(tmp_path: Path) -> None:
     assert "# matched, sd 0.1; was typical" in text
 
 
+def test_values_of_one_line_are_told_in_its_one_comment(
+    tmp_path: Path,
+) -> None:
+    source = tmp_path / "car.toml"
+    entry = (
+        '\n[[effect]]\nname = "disc_hat"\n'
+        "parameters = { strength = 0.5 } # matched (typical)\n"
+    )
+    source.write_text(EXAMPLE.read_text("utf-8") + entry, "utf-8")
+    changes = [
+        Change("effect", key, value, "all", "", "disc_hat")
+        for key, value in {"strength": 2.0, "conductance_w_k": 0.7}.items()
+    ]
+
+    write_changed(source, tmp_path / "new.toml", changes, "fitted")
+
+    assert "# fitted; was 0.5, typical (matched (typical))" in (
+        tmp_path / "new.toml"
+    ).read_text("utf-8")
+
+
 @pytest.mark.parametrize("name", sorted(STRENGTHS))
 def test_bounds_are_within_the_catalogue(name: str) -> None:
     one = TUNABLES[strength_key(name)]
