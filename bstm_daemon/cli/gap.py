@@ -307,7 +307,7 @@ def _written(command: LogCommand, found: Found) -> list[str]:
     if not any(gap.adopted for gap in gaps):
         return [f"nothing to adopt: {args.out} not written", *lines]
     if any(gap.worse for gap in gaps) and not args.force:
-        why = "it does not make the gap smaller (--force writes it)"
+        why = "it does not make the gap clearly smaller (--force writes it)"
         return [f"{args.out} not written: {why}", *lines]
     entries = Entries(
         *(

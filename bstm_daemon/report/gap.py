@@ -143,8 +143,11 @@ def sentence(gap: Gap) -> str:
             for k in (CONFIGURED, EXTENDED)
         )
         move = "falls" if after < before else "rises"
+        it = "it"
+        if gap.naming is not None and gap.naming.answer == "undecided":
+            it = " and ".join(map(name_of, gap.adopted))
         parts.append(
-            f"with it the error on {shown_where(gap.shown)} {move} from "
+            f"with {it} the error on {shown_where(gap.shown)} {move} from "
             f"{before:.1f} to {after:.1f} K"
         )
     if gap.advice:
@@ -386,7 +389,9 @@ def shown_lines(shown: Shown) -> list[str]:
     )
     moved = f"tunables moved, in deviations of their priors: {moved}"
     if not shown.better:
-        lines.append("what was found does not make the gap smaller there")
+        lines.append(
+            "what was found does not make the gap clearly smaller there"
+        )
     return [*lines, moved]
 
 

@@ -147,7 +147,7 @@ def test_what_does_not_shrink_is_not_written(
     monkeypatch.setattr(Shown, "better", property(lambda _: False))
 
     assert main([*asked, "-o", str(new)]) == 1
-    assert "does not make the gap smaller" in capsys.readouterr().out
+    assert "does not make the gap clearly smaller" in capsys.readouterr().out
     assert not new.exists()
     assert main([*asked, "-o", str(new), "--force"]) == 1
     assert [one.name for one in load_config(new).effect] == ["gap_conduction"]

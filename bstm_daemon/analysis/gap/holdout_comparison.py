@@ -37,6 +37,11 @@ BLOCK_S: Final = 300.0
 DRAWS: Final = 200
 """Blocks of time drawn anew for the interval of a shrink factor."""
 
+CONFIRMED: Final = 1.1
+"""Least shrink factor of held-out drives with which a name is given. Right
+names of another simulator's cars reach 1.2 at least, false ones of cars whose
+match is poor 1.1 at most (`docs/evidence-gap.md`)."""
+
 NOISE_FLOOR: Final = 0.3
 """No error counts as smaller than this share of the thermocouples' noise."""
 
@@ -86,8 +91,12 @@ class Shown:
 
     @property
     def better(self) -> bool:
-        """Whether what is written errs less than what is configured."""
-        return self.shrinks[CONFIGURED].factor > 1.0
+        """Whether what is written errs less than what is configured.
+
+        On held-out drives clearly less.
+        """
+        least = CONFIRMED if self.held_out else 1.0
+        return self.shrinks[CONFIGURED].factor > least
 
     def against(self, noise: Mapping[str, SensorNoise]) -> NodeErrors | None:
         """Return what contradicts what is written most, if anything does.
@@ -203,6 +212,28 @@ def contradicted(
         f"{SCALED} instead"
     )
     return naming.answered("unknown", (), 1.0 - naming.odds[""], reason)
+
+
+def confirmed(
+    naming: Naming, shown: Shown, noise: Mapping[str, SensorNoise]
+) -> Naming:
+    """Return *naming* as held-out drives leave it, if *shown* is of any.
+
+    Without a name where they contradict it, undecided where they gain nothing
+    by what is written. *noise* is what the match handed on by node.
+    """
+    if by := shown.against(noise):
+        return contradicted(naming, naming.names, by)
+    if shown.better or not shown.held_out:
+        return naming
+    factor = shown.shrinks[CONFIGURED].factor
+    reason = (
+        f"with it the error of held-out drives is {factor:.2f} times smaller, "
+        f"and a name needs {CONFIRMED}"
+    )
+    return naming.answered(
+        "undecided", naming.names, naming.probability, reason
+    )
 
 
 def _shrink(

@@ -31,6 +31,7 @@ from bstm_daemon.analysis.gap.heat_only import ForceGap, find_force_gap
 from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
     baseline_fits,
+    confirmed,
     contradicted,
     show,
 )
@@ -115,7 +116,7 @@ class Gap:
 
     @property
     def worse(self) -> bool:
-        """Whether what can be written does not make the gap smaller."""
+        """Whether what can be written makes the gap not clearly smaller."""
         return self.shown is not None and not self.shown.better
 
 
@@ -223,6 +224,23 @@ def _refuted(
     return tuple(one.name for one in suggested if speaks_against(one))
 
 
+def _named_by_forces(
+    naming: Naming, by_forces: Callable[[], ForceGap | None]
+) -> Naming | None:
+    """Return what forces name where temperatures, with *naming*, do not.
+
+    Motion heats whatever friction is: there is nothing to fit to temperatures.
+    """
+    if naming.answer in {"name", "class"}:
+        return None
+    forces = by_forces()
+    wanted = {"name"} if naming.found else {"name", "unknown"}
+    if forces is None or forces.naming.answer not in wanted:
+        return None
+    reason = f"by forces, pressure against motion: {forces.naming.reason}"
+    return replace(forces.naming, reason=reason)
+
+
 def _after_held_out(
     naming: Naming,
     comparison: Comparison,
@@ -310,13 +328,8 @@ def _gap(  # noqa: PLR0913
             known_k=simulated.jacobian_k,
         )
         plain = replace(plain, naming=naming)
-    plain_name = naming.answer in {"name", "class"}
-    forces = None if plain_name else by_forces()
-    wanted = {"name"} if naming.found else {"name", "unknown"}
-    if forces is not None and forces.naming.answer in wanted:
-        # motion heats whatever friction is: nothing to fit to temperatures
-        reason = f"by forces, pressure against motion: {forces.naming.reason}"
-        return replace(plain, naming=replace(forces.naming, reason=reason))
+    if found := _named_by_forces(naming, by_forces):
+        return replace(plain, naming=found)
     if until == "advise" or (
         until == "show" and naming.answer in {"class", "undecided"}
     ):
@@ -328,12 +341,14 @@ def _gap(  # noqa: PLR0913
     extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
     report_share(0.85)
     shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
-    if by := shown.against(handed_on):
-        naming = contradicted(naming, naming.names, by)
-        return replace(plain, naming=naming)
+    judged = confirmed(naming, shown, handed_on)
+    if not judged.names:
+        named = _named_by_forces(judged, by_forces)
+        return replace(plain, naming=named or judged)
     values, entries = written(comparison, extended, naming)
     plain = replace(
         plain,
+        naming=judged,
         fit=extended,
         values=tuple(values),
         entries=entries,

@@ -17,7 +17,9 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     Shrink,
     _errors,
     _shrink,
+    confirmed,
 )
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.workflow import find_gap
 from bstm_daemon.analysis.statistics.series import white_noise
 from bstm_daemon.report.gap import gap_text
@@ -74,6 +76,43 @@ def test_what_contradicts_is_beyond_all_four(
         found = shown.against(noise)
 
         assert found is (errors[1] if against and held_out else None)
+
+
+@pytest.mark.parametrize(
+    ("held_out", "factor", "better", "answer"),
+    [
+        (True, 1.11, True, "name"),
+        (True, 1.09, False, "undecided"),
+        (True, 0.8, False, "undecided"),
+        # by the drives that were fitted nothing is confirmed
+        (False, 1.01, True, "name"),
+        (False, 0.99, False, "name"),
+    ],
+)
+def test_a_name_needs_held_out_drives_that_gain(
+    factor: float, answer: str, *, held_out: bool, better: bool
+) -> None:
+    shrinks = {
+        CONFIGURED: Shrink(factor, 0.5, 2.0),
+        SCALED: Shrink(9.0, 0.5, 9.0),
+    }
+    same = {SCALED: 1.0, EXTENDED: 1.0}
+    one: Any = SimpleNamespace(node="disc", time_s=np.zeros(9), rms_k=same)
+    shown = Shown(held_out, shrinks, {}, (one,), {}, {}, ())
+    noise: Any = {"disc": SimpleNamespace(drift_k=1.0)}
+    naming = Naming("name", ("hub_heat",), 0.97, (), {"": 0.01}, "heat")
+
+    found = confirmed(naming, shown, noise)
+
+    assert shown.better == better
+    assert (found.answer, found.names) == (answer, ("hub_heat",))
+    assert found.probability == 0.97
+    assert found.reason == (
+        "heat"
+        if answer == "name"
+        else f"with it the error of held-out drives is {factor:.2f} times "
+        "smaller, and a name needs 1.1"
+    )
 
 
 @pytest.mark.slow

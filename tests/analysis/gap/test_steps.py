@@ -293,6 +293,35 @@ def test_forces_are_asked_where_temperatures_name_nothing(
 FADE = "friction_fade"
 
 
+@pytest.mark.parametrize("answer", ["name", "unknown"])
+def test_forces_are_asked_where_held_out_drives_contradict_the_name(
+    steps: Callable[..., tuple[Any, list[str]]],
+    config: Config,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: Answer,
+) -> None:
+    """What they do not name stays without one."""
+    naming = NAMED.answered(answer, (FADE,), 0.99, "hot")
+    monkeypatch.setattr(
+        workflow,
+        "find_force_gap",
+        lambda *_, **__: SimpleNamespace(naming=naming),
+    )
+    known = SimpleNamespace(corners=(), forces={FADE: 0.1})
+    monkeypatch.setitem(vars(config), "matched", [known])
+
+    gap, _ = steps(NAMED, "show", against=off("disc"))
+
+    if answer == "name":
+        assert (gap.naming.answer, gap.naming.names) == ("name", (FADE,))
+        assert gap.naming.reason == "by forces, pressure against motion: hot"
+    else:
+        assert (gap.naming.answer, gap.naming.names) == ("unknown", ())
+        assert "contradicts gap_conduction" in gap.naming.reason
+    assert not gap.adopted
+    assert gap.shown is None
+
+
 @pytest.mark.parametrize(
     ("evidence", "reach", "strength", "refuted"),
     [
