@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import PREFIX, factor_of, is_change, said
+from bstm_daemon.analysis.gap.changes import (
+    PREFIX,
+    factor_of,
+    is_change,
+    path_of,
+    said,
+)
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.fitting import HEAT_CHANGE, Fit
 from bstm_daemon.analysis.gap.naming import Naming
@@ -72,6 +78,11 @@ def written(
             )
             continue
         effects += comparison.trials[name].effects_at(strength)
+        changes += [
+            Change("effect", key, value, corner, note, path_of(name))
+            for key, value in comparison.forms.get(name, {}).items()
+            for corner in target.corners
+        ]
         said_of["meaning"] = said(name, strength)
         every = {corner.name for corner in target.config.disc_corners()}
         corners = target.corners

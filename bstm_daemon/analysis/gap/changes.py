@@ -6,7 +6,7 @@ several. A strength is the logarithm of the factor over :data:`STEP`.
 """
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -33,9 +33,16 @@ STEP: Final = 0.7
 HEAT_STEP: Final = 0.2
 """Of the heat: friction differs by less than conductances do."""
 
+MANIFOLD: Final = 4.0
+"""Factor of a value from which no percentage is said."""
+
 LARGEST: Final = 4.0
 """Strength of a candidate beyond which it is none, but something else, unless
 physics has another end."""
+
+LARGEST_OF_PATH: Final = 6.0
+"""Of a path that the model has: there may be little of it, and what the
+effect can be at most ends its change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +145,41 @@ def are_twins(a: str, b: str) -> bool:
 def largest(name: str) -> float:
     """Return the largest strength that the candidate *name* can have."""
     if not is_listed(name):
-        return LARGEST
+        own = is_change(name) and path_of(name)
+        return LARGEST_OF_PATH if own else LARGEST
     most = effect_class(name).most_strength
     return LARGEST if most == STRENGTH.upper else most
+
+
+def path_of(name: str) -> str:
+    """Return the heat path whose strength the change *name* is of, or ""."""
+    section, _, key = name.removeprefix(PREFIX).partition(".")
+    effect, _, parameter = key.partition(".")
+    if section != EFFECT or parameter != STRENGTH.name:
+        return ""
+    return effect if effect_class(effect).kind == "thermal" else ""
+
+
+def forms_of(
+    name: str, fitted: Collection[str] = ()
+) -> tuple[Mapping[str, float], ...]:
+    """Return the other forms of the candidate *name*, whose values they are.
+
+    A change of a path that the model has may be in one as well, except for
+    what is *fitted*, a tunable.
+    """
+    effect = path_of(name) if is_change(name) else name
+    if not effect:
+        return ()
+    forms = (
+        {
+            key: value
+            for key, value in form.items()
+            if f"{EFFECT}.{effect}.{key}" not in fitted
+        }
+        for form in effect_class(effect).forms
+    )
+    return tuple(form for form in forms if form)
 
 
 def trials(config: Config, keys: Sequence[str]) -> dict[str, Trial]:
@@ -186,8 +225,11 @@ def factor_of(name: str, strength: float) -> float:
 
 
 def said_percent(name: str, strength: float) -> str:
-    """Return the change *name* of *strength* in percent."""
-    return f"{100.0 * (factor_of(name, strength) - 1.0):+.0f} %"
+    """Return the change *name* of *strength* in percent, or so-manyfold."""
+    factor = factor_of(name, strength)
+    if factor >= MANIFOLD:
+        return f"{factor:.0f}-fold"
+    return f"{100.0 * (factor - 1.0):+.0f} %"
 
 
 def name_of(name: str) -> str:

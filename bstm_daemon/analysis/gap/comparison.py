@@ -15,6 +15,7 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import (
     HEAT_SCALE,
     is_change,
+    path_of,
     strength_of,
     trials,
 )
@@ -53,6 +54,16 @@ MOST_POINTS: Final = 300
 HEAT_SCALE_PRIOR: Final = 0.05
 """Standard deviation of its logarithm: what friction varies by from day to
 day, and a pressure sensor's offset and gain."""
+
+
+class Form(EffectConfig):
+    """Values that an effect of this name has in another form."""
+
+    def of(self, effect: EffectConfig) -> EffectConfig:
+        """Return *effect* in this form, its other values kept."""
+        return effect.model_copy(
+            update={"parameters": effect.parameters | self.parameters}
+        )
 
 
 class Comparison(Layout):
@@ -118,10 +129,17 @@ class Comparison(Layout):
         return not is_composed(name) and effect_class(name).kind == "heat"
 
     def placed(
-        self, x: Column, strengths: Mapping[str, float]
+        self,
+        x: Column,
+        strengths: Mapping[str, float],
+        forms: Mapping[str, Mapping[str, float]] | None = None,
     ) -> tuple[Column, list[EffectConfig]]:
-        """Return *x* with the changes among *strengths*, and the effects."""
-        effects = []
+        """Return *x* with the changes among *strengths*, and the effects.
+
+        In *forms*, or in those that were found to fit best.
+        """
+        forms = self.forms if forms is None else forms
+        effects: list[EffectConfig] = []
         terms = {}
         there = {
             text: size * strength_of(one)
@@ -135,12 +153,16 @@ class Comparison(Layout):
                 text = name.removeprefix(PREFIX)
                 terms[text] = read(text, a * self.sizes[name]).within().size
                 continue
+            form = forms.get(name, {})
             if not is_change(name):
-                parameters = {**self.forms.get(name, {}), "strength": a}
+                parameters = {**form, "strength": a}
                 effects.append(EffectConfig(name=name, parameters=parameters))
                 continue
             x = x + a * self.trials[name].direction
             effects += self.trials[name].effects_at(a)
+            if form:
+                of = path_of(name)
+                effects.append(Form(name=of, parameters=dict(form)))
         if terms:
             effects.append(
                 EffectConfig(name=COMPOSED, parameters=bounded(there | terms))
@@ -338,10 +360,19 @@ def heats(effect: EffectConfig, config: Config) -> bool:
 
 
 def with_effects(config: Config, effects: Sequence[EffectConfig]) -> Config:
-    """Return *config* with *effects*, which replace their namesakes."""
-    names = {one.name for one in effects}
-    kept = [one for one in config.effect if one.name not in names]
-    return config.model_copy(update={"effect": [*kept, *effects]})
+    """Return *config* with *effects*, which replace their namesakes.
+
+    A :class:`Form` replaces some of their values.
+    """
+    forms = {one.name: one for one in effects if isinstance(one, Form)}
+    whole = [one for one in effects if not isinstance(one, Form)]
+    names = {one.name for one in whole}
+    kept = [
+        forms[one.name].of(one) if one.name in forms else one
+        for one in config.effect
+        if one.name not in names
+    ]
+    return config.model_copy(update={"effect": [*kept, *whole]})
 
 
 def thermocouple_corrections(

@@ -5,13 +5,13 @@ differs from day to day is integrated out, and large changes are simulated
 again where they are.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from bstm_daemon.analysis.gap.changes import is_change
+from bstm_daemon.analysis.gap.changes import forms_of, is_change
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.composing import with_composed
 from bstm_daemon.analysis.gap.evidence import weigh
@@ -21,10 +21,10 @@ from bstm_daemon.analysis.gap.joint_effects import NEXT_EVIDENCE, NEXT_SHARE
 from bstm_daemon.analysis.gap.naming import Naming, name_effect
 from bstm_daemon.analysis.gap.noise import Layout, calibrated
 from bstm_daemon.analysis.gap.signatures import (
+    NO_FORM,
     Linearised,
     Sensed,
-    forms_of,
-    sharpened,
+    of_large_change,
     whitened_signature,
 )
 from bstm_daemon.analysis.statistics.evidence import Projector, mean_evidence
@@ -33,6 +33,11 @@ from bstm_daemon.analysis.statistics.series import Column
 LEADING: Final = 4
 LARGE: Final = 0.7
 """Changes at the head of the list that are larger are simulated again."""
+
+MOVED: Final = 0.1
+ROUNDS: Final = 6
+"""And again, where they then are by so much of it larger or smaller; so often
+at most."""
 
 
 def search(
@@ -67,12 +72,37 @@ def search(
         noise = calibrated(comparison, simulated.base_k, simulated.columns_k())
     layout.set_noise(noise)
     comparison.set_noise(noise)
-    turned = _in_best_forms(comparison, layout, turned)
+    turned = _in_best_forms(
+        comparison,
+        layout,
+        turned,
+        {
+            name: list(
+                zip(
+                    (NO_FORM, *forms_of(name)),
+                    (turned.terms_k[name], *others),
+                    strict=True,
+                )
+            )
+            for name, others in turned.forms_k.items()
+        },
+    )
     known = turned.whitened(layout)
     naming = name_effect(layout, known)
     done: dict[str, float] = {}
-    while far := _far(naming, done):
-        turned = sharpened(comparison, turned, far)
+    for _ in range(ROUNDS):
+        far = _far(naming, done)
+        if not far:
+            break
+        turned = _in_best_forms(
+            comparison,
+            layout,
+            replace(turned, near={**turned.near, **far}),
+            {
+                name: of_large_change(comparison, turned.base_k, name, a)
+                for name, a in far.items()
+            },
+        )
         known = turned.whitened(layout)
         naming = name_effect(layout, known)
         done |= far
@@ -89,30 +119,37 @@ def search(
 
 
 def _in_best_forms(
-    comparison: Comparison, layout: Layout, simulated: Sensed
+    comparison: Comparison,
+    layout: Layout,
+    simulated: Sensed,
+    every: Mapping[str, Sequence[tuple[Mapping[str, float], Column]]],
 ) -> Sensed:
-    """Return *simulated* with each effect in the form that fits best.
+    """Return *simulated* with each candidate in the form that fits best.
 
-    *comparison* has the values of these forms from then on. The evidence of
-    an effect is the mean over its forms, so the choice costs the difference.
+    *every* has forms and their terms [K], (2, n), by name. *comparison* has
+    the values of the best from then on. The evidence of a candidate is the
+    mean over its forms, so the choice costs the difference.
     """
     project = Projector(layout.whiten(simulated.jacobian_k), layout.prior)
     residual = layout.whiten(simulated.base_k)
     chosen, costs = {}, {}
-    for name, others in simulated.forms_k.items():
-        every = (simulated.terms_k[name], *others)
+    for name, options in every.items():
         logs = [
             weigh(project, residual, signature).log_evidence
-            for terms in every
-            for signature in [whitened_signature(layout, name, terms)]
+            for _, terms in options
+            for signature in [
+                whitened_signature(
+                    layout, name, terms, simulated.near.get(name, 1.0)
+                )
+            ]
         ]
         best = int(np.argmax(logs))
-        chosen[name] = every[best]
+        comparison.forms[name], chosen[name] = options[best]
         costs[name] = logs[best] - mean_evidence(logs)
-        if best:
-            comparison.forms[name] = forms_of(name)[best - 1]
     return replace(
-        simulated, terms_k={**simulated.terms_k, **chosen}, form_costs=costs
+        simulated,
+        terms_k={**simulated.terms_k, **chosen},
+        form_costs={**simulated.form_costs, **costs},
     )
 
 
@@ -126,7 +163,7 @@ def starts(naming: Naming) -> dict[str, float]:
 
 
 def _far(naming: Naming, done: Mapping[str, float]) -> dict[str, float]:
-    """Return changes that are large and not simulated as large, by name."""
+    """Return changes that are large and not simulated there, by name."""
     leading = {one.name for one in naming.candidates[:LEADING]}
     return {
         one.name: one.strength
@@ -134,5 +171,6 @@ def _far(naming: Naming, done: Mapping[str, float]) -> dict[str, float]:
         if is_change(one.name)
         and one.name in leading.union(naming.names)
         and abs(one.strength) > LARGE
-        and one.name not in done
+        and abs(one.strength - done.get(one.name, 0.0))
+        > MOVED * abs(one.strength)
     }

@@ -12,6 +12,7 @@ named effect explains.
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -19,8 +20,10 @@ import numpy as np
 from bstm_daemon.analysis.gap.changes import (
     LARGEST,
     either_sign,
+    forms_of,
     is_change,
     largest,
+    path_of,
     strength_of,
 )
 from bstm_daemon.analysis.gap.changes import STEP as STEP_OF_CHANGE
@@ -52,8 +55,15 @@ HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)
 CHANGE_STRENGTHS: Final[tuple[float, ...]] = (-0.5, 0.5)
 """Strengths simulated; the heat needs a pass over all samples for each."""
 
+OF_LITTLE: Final = 2.0
+"""The second one of a change of a path that the model has: there may be
+little of it, which says nothing of much."""
+
 AT_ONCE: Final = 16
 """Changes marched side by side: more take memory, not less time."""
+
+NO_FORM: Final[Mapping[str, float]] = MappingProxyType({})
+"""That of an effect whose values are typical, or as the model has them."""
 
 SILENT_K: Final = 1e-3
 """A candidate that nowhere changes the model by more is not excited."""
@@ -205,7 +215,7 @@ def sensed(
     names = [*names, *comparison.trials]
     for number, name in enumerate(names):
         terms = (
-            _parabola_k(CHANGE_STRENGTHS, values[name])
+            _parabola_k(*values[name])
             if name in values
             else _terms_k(comparison, name, base)
         )
@@ -213,9 +223,10 @@ def sensed(
             silent.append(name)
         else:
             found[name] = terms
+            # those of a change are simulated where it is large
             forms[name] = tuple(
                 np.zeros_like(terms) if other is None else other
-                for form in forms_of(name)
+                for form in (() if is_change(name) else forms_of(name))
                 for other in [_terms_k(comparison, name, base, form=form)]
             )
         if progress is not None:
@@ -230,31 +241,22 @@ def sensed(
     )
 
 
-def forms_of(name: str) -> tuple[Mapping[str, float], ...]:
-    """Return the other forms of the candidate *name*."""
-    return () if is_change(name) else effect_class(name).forms
+def of_large_change(
+    comparison: Comparison, base_k: Column, name: str, strength: float
+) -> list[tuple[Mapping[str, float], Column]]:
+    """Return each form of the change *name*, and its terms, simulated there.
 
-
-def sharpened(
-    comparison: Comparison, simulated: Sensed, at: Mapping[str, float]
-) -> Sensed:
-    """Return *simulated* with the signatures *at* strengths simulated there.
-
-    A parabola through small changes says little of large ones.
+    A parabola through small changes says little of large ones; and of what
+    the model has little of, its form matters once there is much. Residuals
+    without it are *base_k* (n,).
     """
-    found = {
-        name: terms
-        for name, a in at.items()
-        if (
-            terms := _terms_k(comparison, name, simulated.base_k, (0.5 * a, a))
-        )
-        is not None
-    }
-    return replace(
-        simulated,
-        terms_k={**simulated.terms_k, **found},
-        near={**simulated.near, **{name: at[name] for name in found}},
-    )
+    found = []
+    for form in (NO_FORM, *forms_of(name, comparison.keys)):
+        strengths = (0.5 * strength, strength)
+        terms = _terms_k(comparison, name, base_k, strengths, form)
+        if terms is not None:
+            found.append((form, terms))
+    return found
 
 
 def sensitivities(
@@ -285,7 +287,12 @@ def signature_of(
 def whitened_signature(
     layout: Layout, name: str, terms: Column, near: float = 1.0
 ) -> Signature:
-    """Return the signature of *name* by its *terms* [K], (2, n)."""
+    """Return the signature of *name* by its *terms* [K], (2, n).
+
+    A change is not as large as it can be unless it is simulated *near* there:
+    far from where it is, the parabola turns back.
+    """
+    simulated = not is_change(name) or near != 1.0
     return Signature(
         name,
         layout.whiten(terms[0]),
@@ -294,7 +301,7 @@ def whitened_signature(
         either_sign(name),
         is_change(name),
         near,
-        most=largest(name),
+        most=largest(name) if simulated else LARGEST,
     )
 
 
@@ -309,14 +316,21 @@ def _sensitivities_k(
 
 def _of_values_k(
     comparison: Comparison, base: Column
-) -> dict[str, list[Column]]:
-    """Return what changes of values do at each strength, marched at once."""
+) -> dict[str, tuple[tuple[float, ...], Column]]:
+    """Return strengths of changes of values, and what each does, (2, n) [K].
+
+    They are marched at once.
+    """
     start, trials = comparison.start, comparison.trials
-    own = [name for name, one in trials.items() if not one.effects]
+    own = {
+        name: _change_strengths(comparison, name)
+        for name, one in trials.items()
+        if not one.effects
+    }
     points = [
         comparison.placed(start, {name: strength})[0]
-        for name in own
-        for strength in CHANGE_STRENGTHS
+        for name, strengths in own.items()
+        for strength in strengths
     ]
     changes: list[Column] = []
     for first in range(0, len(points), AT_ONCE):
@@ -325,8 +339,23 @@ def _of_values_k(
         changes += list((apart - base[:, None]).T)
     step = len(CHANGE_STRENGTHS)
     return {
-        name: changes[i * step : (i + 1) * step] for i, name in enumerate(own)
+        name: (strengths, np.array(changes[i * step : (i + 1) * step]))
+        for i, (name, strengths) in enumerate(own.items())
     }
+
+
+def _change_strengths(comparison: Comparison, name: str) -> tuple[float, ...]:
+    """Return the strengths at which the change *name* is simulated at first.
+
+    That of a path no further than the effect can go.
+    """
+    if not path_of(name):
+        return CHANGE_STRENGTHS
+    direction = comparison.trials[name].direction
+    moved = direction > 0.0
+    room = (comparison.upper - comparison.start)[moved] / direction[moved]
+    less, more = CHANGE_STRENGTHS
+    return less, max(more, min(OF_LITTLE, float(room.min())))
 
 
 def _terms_k(
@@ -334,17 +363,16 @@ def _terms_k(
     name: str,
     base: Column,
     strengths: tuple[float, ...] = (),
-    form: Mapping[str, float] | None = None,
+    form: Mapping[str, float] = NO_FORM,
 ) -> Column | None:
     trial = comparison.trials.get(name)
     scaled = not strengths and trial is not None and bool(trial.effects)
     strengths = strengths or _strengths(name)
     changes = []
     for strength in strengths[-1:] if scaled else strengths:
-        x, effects = comparison.placed(comparison.start, {name: strength})
-        if form:
-            parameters = {**form, "strength": strength}
-            effects = [EffectConfig(name=name, parameters=parameters)]
+        x, effects = comparison.placed(
+            comparison.start, {name: strength}, {name: form}
+        )
         try:
             apart = comparison.residuals_k(x[None], effects)
         except ConfigError:
@@ -360,7 +388,7 @@ def _terms_k(
 
 
 def _parabola_k(
-    strengths: Sequence[float], changes: Sequence[Column]
+    strengths: Sequence[float], changes: Sequence[Column] | Column
 ) -> Column | None:
     """Return the terms through *changes* [K] and 0, None where they are."""
     if max(float(np.abs(one).max()) for one in changes) < SILENT_K:

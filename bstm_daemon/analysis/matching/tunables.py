@@ -71,8 +71,8 @@ STRENGTHS: Final = {
     "disc_radiation_driving": (0.05, 1.5, 0.15),
     "local_air": (0.05, 5.0, 0.4),
     "disc_hat": (0.05, 5.0, 0.3),
-    # contact of steel clips
-    "bracket_conduction": (0.05, 5.0, 0.4),
+    # contact of steel clips, or ears pressed on with grease
+    "bracket_conduction": (0.05, 10.0, 0.4),
     # the bridge alone, or all of the inside of a large caliper
     "disc_caliper_radiation": (0.05, 10.0, 0.3),
     "caliper_fluid_split": (0.05, 5.0, 0.3),

@@ -3,31 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap import workflow
+from bstm_daemon.analysis.gap.adopting import written
 from bstm_daemon.analysis.gap.changes import (
     HEAT_SCALE,
     KINDS,
     STEP,
     factor_of,
+    forms_of,
+    largest,
     of_sensor,
     said,
+    said_percent,
     trials,
 )
-from bstm_daemon.analysis.gap.comparison import with_effects
+from bstm_daemon.analysis.gap.comparison import Comparison, with_effects
+from bstm_daemon.analysis.gap.evidence import Candidate
+from bstm_daemon.analysis.gap.fitting import Fit
 from bstm_daemon.analysis.gap.form import form_k, with_form
+from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.signatures import (
     Sensed,
+    _change_strengths,
     candidates,
+    of_large_change,
     sensed,
-    sharpened,
     signature_of,
+    whitened_signature,
 )
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
+from bstm_daemon.analysis.identify.writing import Entries, write_changed
 from bstm_daemon.analysis.matching.learned import entry
 from bstm_daemon.analysis.matching.tunables import (
     AIR_AT_REST,
@@ -44,6 +56,7 @@ from bstm_daemon.analysis.matching.tunables import (
     usable,
 )
 from bstm_daemon.config.estimates import MatchedConfig
+from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 from bstm_daemon.report.gap import headline
@@ -63,6 +76,11 @@ AMONG = (
     "shim_contact",
 )  # fmt: skip
 """Effects on temperatures: these drives have no samples to heat anew."""
+
+EXAMPLE = Path(__file__).parents[3] / "config" / "example_vehicle.toml"
+
+CONDUCTION = "bracket_conduction"
+MORE = f"change.{strength_key(CONDUCTION)}"
 
 EMPTY = MatchedConfig(
     corners=["FL"],
@@ -206,6 +224,9 @@ def test_a_change_is_said_in_plain_words() -> None:
         "conduction from the backplates to the bracket +52 % since the "
         "match: new clips, pads that jam in the slides?"
     )
+    for factor, words in (3.99, "+299 %"), (4.01, "4-fold"), (21.8, "22-fold"):
+        much = np.log(factor) / STEP
+        assert said_percent("change.disc_air", much) == words
 
 
 @pytest.mark.parametrize(
@@ -254,19 +275,114 @@ def test_a_large_change_is_simulated_again_without_the_form(
     matched: Target, made: Callable[..., Recording]
 ) -> None:
     """What the form lacks is in the residuals with and without the change."""
-    at = {"change.disc_air": -0.6}
     comparison = compare(matched, [made()])
-    before = sensed(comparison, ())
-    plain = sharpened(comparison, before, at)
-
-    comparison.form_k = np.full(len(before.base_k), 3.0)
-    turned = replace(before, base_k=before.base_k + comparison.form_k)
-    found = sharpened(comparison, turned, at)
-
-    assert found.near == at
-    assert found.terms_k["change.disc_air"] == pytest.approx(
-        plain.terms_k["change.disc_air"], abs=1e-9
+    base_k = sensed(comparison, ()).base_k
+    ((_, plain),) = of_large_change(
+        comparison, base_k, "change.disc_air", -0.6
     )
+
+    comparison.form_k = np.full(len(base_k), 3.0)
+    ((form, terms),) = of_large_change(
+        comparison, base_k + 3.0, "change.disc_air", -0.6
+    )
+
+    assert form == {}
+    assert terms == pytest.approx(plain, abs=1e-9)
+
+
+def conducting(
+    config: Config, drives: list[Recording], **values: float
+) -> Comparison:
+    """Return a comparison that fits the bracket's conduction, of *values*."""
+    own = EffectConfig(name=CONDUCTION, corner="FL", parameters=values)
+    target = Target(with_effects(config, [own]), ("FL",))
+    found = Comparison(
+        target,
+        drives,
+        [strength_key(CONDUCTION), BRACKET_LOSS],
+        compare(target, drives).noise,
+    )
+    found.trials = trials(target.config, found.keys)
+    return found
+
+
+def test_a_path_that_the_model_has_little_of_is_tried_at_much(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """As far as it can go."""
+    for strength, second in (0.5, 2.0), (5.0, np.log(2.0) / STEP), (9.9, 0.5):
+        tried = conducting(config, [made()], strength=strength)
+        assert _change_strengths(tried, MORE) == pytest.approx((-0.5, second))
+
+    tried.trials["change.disc_air"] = tried.trials[MORE]
+    assert _change_strengths(tried, "change.disc_air") == (-0.5, 0.5)
+
+
+def test_more_of_a_path_may_have_another_form(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """Its strength is that of the change, its values those of the form."""
+    drives = [made()]
+    comparison = conducting(config, drives, strength=0.5, loss_w_k=0.4)
+    base_k = comparison.residuals_k(comparison.start[None])[:, 0]
+    forms = forms_of(MORE, comparison.keys)
+    # what the match has fitted stays
+    assert forms == (
+        {"pressed_rise": 0.0},
+        {"pressed_rise": 0.0, "capacity_j_k": 600.0},
+    )
+
+    options = of_large_change(comparison, base_k, MORE, 3.0)
+
+    assert [form for form, _ in options] == [{}, *forms]
+    for (form, terms), change in product(options, (1.5, 3.0)):
+        x, effects = comparison.placed(
+            comparison.start, {MORE: change}, {MORE: form}
+        )
+        (there,) = (
+            one
+            for one in comparison.config(x, effects).effect
+            if one.name == CONDUCTION
+        )
+        assert there.parameters == {
+            "strength": pytest.approx(0.5 * np.exp(change * STEP)),
+            "loss_w_k": pytest.approx(0.4),
+            **form,
+        }
+        changed = conducting(config, drives, **there.parameters)
+        moved_k = changed.residuals_k(changed.start[None])[:, 0] - base_k
+        assert change * terms[0] + change**2 * terms[1] == pytest.approx(
+            moved_k, abs=1e-6
+        )
+
+
+def test_the_form_that_fits_is_written_with_the_change(
+    config: Config, made: Callable[..., Recording], tmp_path: Path
+) -> None:
+    """A file with the strength and without the form is another model."""
+    comparison = conducting(config, [made()], strength=0.5, loss_w_k=0.4)
+    comparison.forms[MORE] = forms_of(MORE, comparison.keys)[1]
+    x, effects = comparison.placed(comparison.start, {MORE: 3.0})
+    found = Fit(x, {MORE: 3.0}, {MORE: 0.1}, 0.0, np.eye(3), tuple(effects))
+    one = Candidate(MORE, 3.0, 0.1, 50.0, 45.0, 0.5)
+    naming = Naming("name", (MORE,), 0.99, (one,), {MORE: 0.99, "": 0.01}, "")
+
+    values, entries = written(comparison, found, naming)
+
+    source, new = tmp_path / "source.toml", tmp_path / "new.toml"
+    write_changed(
+        EXAMPLE, source, (), "", "", Entries(comparison.target.config.effect)
+    )
+    write_changed(source, new, values, "bstm gap", "", entries)
+    (effect,) = load_config(new).effect
+    assert effect.parameters == {
+        "strength": pytest.approx(0.5 * np.exp(3.0 * STEP), rel=1e-4),
+        "loss_w_k": 0.4,
+        "pressed_rise": 0.0,
+        "capacity_j_k": 600.0,
+    }
+    (change,) = entries.changes
+    assert change.factor == pytest.approx(np.exp(3.0 * STEP))
 
 
 def test_what_the_form_lacks_is_taken_off_later_drives(
@@ -329,3 +445,39 @@ def test_candidates_can_be_left_out_of_what_was_simulated() -> None:
     assert not left.forms_k
     assert left.silent == ("c",)
     assert one.terms_k.keys() == {"a", "b"}
+
+
+def test_a_change_is_large_only_where_it_is_simulated(
+    matched: Target, made: Callable[..., Recording]
+) -> None:
+    layout = compare(matched, [made()])
+    terms = np.ones((2, sum(len(one.time_s) for one in layout.series)))
+    most = {
+        (name, near): whitened_signature(layout, name, terms, near).most
+        for name in ("change.effect.disc_hat.strength", "change.disc_air")
+        for near in (1.0, 3.0)
+    }
+    most |= {
+        name: whitened_signature(layout, name, terms).most
+        for name in ("disc_hat", "mass_error")
+    }
+
+    assert most == {
+        ("change.effect.disc_hat.strength", 1.0): 4.0,
+        ("change.effect.disc_hat.strength", 3.0): 6.0,
+        ("change.disc_air", 1.0): 4.0,
+        ("change.disc_air", 3.0): 4.0,
+        "disc_hat": 4.0,
+        "mass_error": 10.0,
+    }
+
+
+def test_what_is_no_strength_of_a_path_has_no_form_of_one() -> None:
+    for name in (
+        "change.disc_air",
+        f"change.{BRACKET_LOSS}",
+        "change.effect.friction_fade.strength",
+    ):
+        assert forms_of(name) == ()
+        assert largest(name) == 4.0
+    assert forms_of(CONDUCTION) == effect_class(CONDUCTION).forms

@@ -51,23 +51,29 @@ def test_a_changed_value_is_marched_from_where_it_settles() -> None:
         asked.append(each_settles)
         return np.array([[1.0], [2.0]]) + points[:, 0]
 
+    hat = "change.effect.disc_hat.strength"
     comparison: Any = SimpleNamespace(
         start=np.zeros(1),
+        upper=np.array([0.9]),
         trials={
             "change.a": SimpleNamespace(effects=()),
             "change.b": SimpleNamespace(effects=("one",)),
+            hat: SimpleNamespace(effects=(), direction=np.array([0.6])),
         },
-        placed=lambda start, of: (start + of["change.a"], []),
+        placed=lambda start, of: (start + sum(of.values()), []),
         residuals_k=residuals_k,
     )
 
     found = _of_values_k(comparison, np.array([1.0, 2.0]))
 
     assert asked == [True]
-    assert found.keys() == {"change.a"}
-    assert [one.tolist() for one in found["change.a"]] == [
-        [pytest.approx(strength)] * 2 for strength in CHANGE_STRENGTHS
-    ]
+    assert found.keys() == {"change.a", hat}
+    for name, expected in ("change.a", CHANGE_STRENGTHS), (hat, (-0.5, 1.5)):
+        strengths, changes = found[name]
+        assert strengths == pytest.approx(expected)
+        assert changes.tolist() == [
+            [pytest.approx(strength)] * 2 for strength in expected
+        ]
 
 
 def test_an_effect_of_one_form_costs_no_choice() -> None:
