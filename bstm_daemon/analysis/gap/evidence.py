@@ -84,6 +84,10 @@ def weigh(
     grid, weights = strength_prior(
         signature.most, either_sign=signature.either_sign, even=signature.even
     )
+    if signature.near != 1.0:
+        # simulated on one side, it says nothing of the other
+        here = grid * signature.near > 0.0
+        grid, weights = grid[here], weights[here]
     gains = _gains(gram, grid)
     top = int(np.argmax(gains))
     best = _refined(gram, grid, top)

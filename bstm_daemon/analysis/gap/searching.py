@@ -94,15 +94,7 @@ def search(
         far = _far(naming, done)
         if not far:
             break
-        turned = _in_best_forms(
-            comparison,
-            layout,
-            replace(turned, near={**turned.near, **far}),
-            {
-                name: of_large_change(comparison, turned.base_k, name, a)
-                for name, a in far.items()
-            },
-        )
+        turned = _simulated_there(comparison, layout, turned, far)
         known = turned.whitened(layout)
         naming = name_effect(layout, known)
         done |= far
@@ -116,6 +108,27 @@ def search(
         if alone - together < least:
             naming = name_effect(layout, known, alone=True)
     return with_composed(comparison, layout, known, naming)
+
+
+def _simulated_there(
+    comparison: Comparison,
+    layout: Layout,
+    simulated: Sensed,
+    far: Mapping[str, float],
+) -> Sensed:
+    """Return *simulated* with changes as large as *far*, simulated there.
+
+    What is at its bound has no more of it and stays as it is.
+    """
+    every = {
+        name: options
+        for name, a in far.items()
+        if (options := of_large_change(comparison, simulated.base_k, name, a))
+    }
+    near = {**simulated.near, **{name: far[name] for name in every}}
+    return _in_best_forms(
+        comparison, layout, replace(simulated, near=near), every
+    )
 
 
 def _in_best_forms(

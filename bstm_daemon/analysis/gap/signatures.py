@@ -247,15 +247,16 @@ def of_large_change(
     """Return each form of the change *name*, and its terms, simulated there.
 
     A parabola through small changes says little of large ones; and of what
-    the model has little of, its form matters once there is much. Residuals
-    without it are *base_k* (n,).
+    the model has little of, its form matters once there is much. None where
+    its bound leaves no room for more. Residuals without it are *base_k* (n,).
     """
-    found = []
+    found: list[tuple[Mapping[str, float], Column]] = []
     for form in (NO_FORM, *forms_of(name, comparison.keys)):
         strengths = (0.5 * strength, strength)
         terms = _terms_k(comparison, name, base_k, strengths, form)
-        if terms is not None:
-            found.append((form, terms))
+        if terms is None:
+            return found
+        found.append((form, terms))
     return found
 
 

@@ -29,6 +29,7 @@ from bstm_daemon.analysis.gap.evidence import Candidate
 from bstm_daemon.analysis.gap.fitting import Fit
 from bstm_daemon.analysis.gap.form import form_k, with_form
 from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.searching import _simulated_there
 from bstm_daemon.analysis.gap.signatures import (
     Sensed,
     _change_strengths,
@@ -354,6 +355,23 @@ def test_more_of_a_path_may_have_another_form(
         assert change * terms[0] + change**2 * terms[1] == pytest.approx(
             moved_k, abs=1e-6
         )
+
+
+def test_what_is_at_its_bound_is_not_simulated_as_more(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    comparison = conducting(config, [made()], strength=10.0)
+    before = sensed(comparison, ())
+
+    there = _simulated_there(comparison, comparison, before, {MORE: 1.0})
+
+    assert MORE in before.terms_k
+    assert there.terms_k[MORE] is before.terms_k[MORE]
+    assert MORE not in there.near
+    less = _simulated_there(comparison, comparison, before, {MORE: -1.0})
+    assert less.near == {MORE: -1.0}
+    assert less.terms_k[MORE] is not before.terms_k[MORE]
+    assert less.form_costs[MORE] > 0.0
 
 
 def test_the_form_that_fits_is_written_with_the_change(

@@ -91,6 +91,28 @@ def test_a_strength_stays_within_what_physics_allows() -> None:
     assert weights.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("near", [2.0, -2.0])
+def test_what_is_simulated_on_one_side_says_nothing_of_the_other(
+    near: float,
+) -> None:
+    change = np.ones(POINTS)
+    both = Signature("change.disc_air", change, 0.0 * change, change, True)
+    both = replace(both, even=True)
+    there = replace(both, near=near)
+    project = Projector(np.zeros((POINTS, 2)), PRIOR)
+
+    free = weigh(project, -near * change, both)
+    same = weigh(project, -near * change, there)
+    other = weigh(project, near * change, there)
+
+    # the side costs what it did when both were open
+    assert same == free
+    assert same.strength == pytest.approx(near, abs=0.02)
+    assert other.strength * near > 0.0
+    assert abs(other.strength) < 0.06
+    assert other.log_evidence < 0.0
+
+
 @pytest.mark.parametrize(
     ("strength", "deviation", "most", "share"),
     [
