@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from bstm_daemon.model.effects.catalogue import effect_names
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("**/*.md"))
@@ -195,3 +197,11 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
         if float(found[1]) < 100.0
     )
     assert (round(good), round(heavy)) == (17, 33)
+
+
+def test_the_readme_counts_the_catalogue() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    count = len(effect_names())
+
+    assert f"effect among {count}, with" in readme
+    assert f"a catalogue of {count}, from" in readme
