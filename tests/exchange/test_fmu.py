@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import time
 import zipfile
 from array import array
 from pathlib import Path
@@ -29,7 +30,7 @@ from bstm_daemon.roles import ROLE_INDEX
 from ..fmu_slave import PLATFORM, STEP_S, drive, model_of, rows_of  # noqa: TID252
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from bstm_daemon.config.sections import Config
 
@@ -307,16 +308,29 @@ def test_temperatures_of_the_car_equal_those_of_the_estimator(
     assert max(expected) > 320.0
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "platforms",
+    [
+        (),
+        # two compilations
+        pytest.param((PLATFORM,), marks=(pytest.mark.slow, pytest.mark.full)),
+    ],
+)
 def test_the_same_model_gives_the_same_bytes(
-    vehicle: Any, fmu_file: Callable[[str, int], Path], tmp_path: Path
+    vehicle: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    platforms: Sequence[str],
 ) -> None:
+    """Years later, too."""
     model = model_of(*vehicle, "FL")
+    one, again = tmp_path / "one.fmu", tmp_path / "again.fmu"
 
-    write_fmu(model, tmp_path / "again.fmu", 2, [PLATFORM])
+    write_fmu(model, one, 2, platforms)
+    monkeypatch.setattr(time, "time", lambda: 2e9)
+    write_fmu(model, again, 2, platforms)
 
-    again = (tmp_path / "again.fmu").read_bytes()
-    assert again == fmu_file("FL", 2).read_bytes()
+    assert one.read_bytes() == again.read_bytes()
 
 
 def test_the_command_writes_sources_without_a_compiler(
