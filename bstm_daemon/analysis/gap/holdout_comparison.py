@@ -38,9 +38,10 @@ DRAWS: Final = 200
 """Blocks of time drawn anew for the interval of a shrink factor."""
 
 CONFIRMED: Final = 1.1
-"""Least shrink factor of held-out drives with which a name is given. Right
-names of another simulator's cars reach 1.2 at least, false ones of cars whose
-match is poor 1.1 at most (`docs/evidence-gap.md`)."""
+"""Least shrink factor of held-out drives with which a name is given. It takes
+two of three false names of pairs without an effect, at 1.05 and 1.07, and none
+of another simulator's right ones, from 1.18 on; others fall on either side
+(`docs/evidence-gap.md`)."""
 
 NOISE_FLOOR: Final = 0.3
 """No error counts as smaller than this share of the thermocouples' noise."""
