@@ -100,7 +100,8 @@ def hint(
 ) -> str:
     """Return which of the *known* names was meant, or which there are.
 
-    Where they are too many to be listed, *elsewhere* says who lists them.
+    Where they are too many to be listed, *elsewhere* says who lists them; if
+    it is empty, some are.
     """
     names = sorted(known)
     meant = nearest(name, names)
@@ -109,5 +110,7 @@ def hint(
     if not names:
         return "there are none"
     if len(names) > LISTED_NAMES:
-        return elsewhere
+        some = ", ".join(names[:LISTED_NAMES])
+        more = len(names) - LISTED_NAMES
+        return elsewhere or f"known are {some} and {more} more"
     return "known are " + ", ".join(names)

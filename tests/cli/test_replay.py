@@ -552,7 +552,7 @@ def test_clock_jump_is_said(
             ('signal = "PressurePrimary"', 'signal = "PressurePrimry"'),
             [
                 "[signals.primary_pressure]",
-                "nearest name is 'PressurePrimary'",
+                "did you mean 'PressurePrimary'",
             ],
         ),
         (

@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -41,14 +40,13 @@ from bstm_daemon.bus.signals.extraction import (
 from bstm_daemon.config.sections import BusConfig, SignalConfig
 from bstm_daemon.config.service import E2eConfig
 from bstm_daemon.config.wording import shortened
-from bstm_daemon.errors import ConfigError
+from bstm_daemon.errors import ConfigError, hint
 from bstm_daemon.roles import ROLE_INDEX, ROLES
 from bstm_daemon.units import UNITS, Unit
 
 _log = structlog.get_logger(__name__)
 
 _LARGEST: Final = sys.float_info.max
-_LONGEST_LIST: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,8 +348,8 @@ def _message(
     by_name = {message.name: message for message in database.messages}
     message = by_name.get(config.message or "")
     if message is None:
-        hint = _nearest(config.message or "", by_name)
-        problems.add("message", config.message, f"not in {file!r}{hint}")
+        known = hint(config.message or "", by_name, "")
+        problems.add("message", config.message, f"not in {file!r}, {known}")
     elif message.length > FD_LENGTHS[-1]:
         reason = f"has {message.length} bytes, a frame carries at most 64"
         problems.add("message", config.message, reason)
@@ -385,10 +383,10 @@ def _all_known(
     unknown = [name for name in names if name not in known]
     for name in unknown:
         what = "" if config.expression is None else f"{name!r} is "
-        hint = _nearest(name, known)
         problems.add(
             *_source_key(config),
-            f"{what}not a signal of message {message.name!r}{hint}",
+            f"{what}not a signal of message {message.name!r}, "
+            f"{hint(name, known, '')}",
         )
     return not unknown
 
@@ -397,14 +395,3 @@ def _limit(
     value: float | None, factor: float, unit: Unit, default: float
 ) -> float:
     return default if value is None else factor * value + unit.offset
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint for the user: the nearest known name, or a short list."""
-    names = list(known)
-    close = get_close_matches(name, names, n=1)
-    if close:
-        return f", the nearest name is {close[0]!r}"
-    if 0 < len(names) <= _LONGEST_LIST:
-        return f", there are: {', '.join(names)}"
-    return ""

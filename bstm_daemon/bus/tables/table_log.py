@@ -6,8 +6,7 @@ the row, in the order of the configuration.
 
 from bisect import insort
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from difflib import get_close_matches
+from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Final
@@ -25,7 +24,7 @@ from bstm_daemon.bus.tables.csv_table import CsvSource
 from bstm_daemon.bus.tables.table_plan import ColumnOutput, TableMap
 from bstm_daemon.bus.tables.time_axis import TimeAxis
 from bstm_daemon.bus.tables.vbo import VboSource
-from bstm_daemon.errors import LogError
+from bstm_daemon.errors import LISTED_NAMES, LogError, hint
 from bstm_daemon.roles import ROLES
 from bstm_daemon.units import UNITS, unit_named
 
@@ -38,7 +37,6 @@ _BINARY: Final[dict[str, type[binary.BinarySource]]] = {
     ".xrz": XrkSource,
 }
 _NAMES_KEPT: Final = 1000
-_NAMES_SHOWN: Final = 12
 
 _log = structlog.get_logger(__name__)
 
@@ -122,7 +120,7 @@ class TableReader:
         problems = []
         for name, key in wanted.items():
             if name not in names:
-                problems.append(f"{key} = {name!r}{_nearest(name, names)}")
+                problems.append(f"{key} = {name!r}, {hint(name, names, '')}")
             elif names.count(name) > 1:
                 problems.append(f"{key} = {name!r} occurs twice")
         if problems:
@@ -245,7 +243,7 @@ class TableReader:
         if self._table.name is not None:
             expected = ", ".join(one.column for one in self._outputs)
             seen = ", ".join(
-                name for name, _ in self._named.most_common(_NAMES_SHOWN)
+                name for name, _ in self._named.most_common(LISTED_NAMES)
             )
             text += f": {expected} expected, {seen} seen"
         return text
@@ -307,12 +305,3 @@ def _judged(
     if output.flag:
         value = (value != 0).astype(np.float64)
     return good, value, there & ~good
-
-
-def _nearest(name: str, names: Sequence[str]) -> str:
-    close = get_close_matches(name, names, n=1)
-    if close:
-        return f", the nearest name is {close[0]!r}"
-    shown = ", ".join(names[:_NAMES_SHOWN])
-    more = len(names) - _NAMES_SHOWN
-    return f", there are: {shown}" + (f" and {more} more" if more > 0 else "")

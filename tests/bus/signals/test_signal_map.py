@@ -206,17 +206,14 @@ def test_buses_are_told_apart(compile_map: Compile) -> None:
         (
             "primary_pressure",
             source("BRAKES", "pressure", "bar"),
-            (
-                "message = 'BRAKES': not in 'car.dbc', "
-                "the nearest name is 'BRAKE'"
-            ),
+            ("message = 'BRAKES': not in 'car.dbc', did you mean 'BRAKE'?"),
         ),
         (
             "primary_pressure",
             source("BRAKE", "presure", "bar"),
             (
                 "signal = 'presure': not a signal of "
-                "message 'BRAKE', the nearest name is 'pressure'"
+                "message 'BRAKE', did you mean 'pressure'?"
             ),
         ),
         (
@@ -224,7 +221,7 @@ def test_buses_are_told_apart(compile_map: Compile) -> None:
             source("BRAKE", "zzz", "bar"),
             (
                 "signal = 'zzz': not a signal of "
-                "message 'BRAKE', there are: pressure, pressed"
+                "message 'BRAKE', known are pressed, pressure"
             ),
         ),
         (
@@ -240,8 +237,8 @@ def test_buses_are_told_apart(compile_map: Compile) -> None:
             source("BRAKE", None, "bar", expression="presure * 2"),
             (
                 "expression = 'presure * 2': "
-                "'presure' is not a signal of message 'BRAKE', the nearest "
-                "name is 'pressure'"
+                "'presure' is not a signal of message 'BRAKE', did you "
+                "mean 'pressure'?"
             ),
         ),
         (

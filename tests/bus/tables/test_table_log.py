@@ -405,13 +405,13 @@ def test_points_in_time_of_a_parquet_table(tmp_path: Path) -> None:
             {},
             (
                 r"a\.csv: no such column: \[signals\.vehicle_speed\] column "
-                r"= 'v', there are: t, V, pp; .*, the nearest name is 'pp'"
+                r"= 'v', known are V, pp, t; .*, did you mean 'pp'\?"
             ),
         ),
         (
             "tim,v,p,b\n",
             {"time": "time"},
-            r"\[table\] time = 'time', the nearest name is 'tim'",
+            r"\[table\] time = 'time', did you mean 'tim'\?",
         ),
         ("t,v,v,p,b\n", {}, "'v' occurs twice"),
         ("t,v,p,b\n", {}, "the table has no row"),
