@@ -13,8 +13,8 @@ its right names taken out of the catalogue, and no controls; ``--drives``
 compares the held-out drives with their truth, by the sheet alone and matched.
 
 Seeds below 500 are for development. ``--release`` takes those that a hash of
-the released version draws from 500 to 999: for figures that are reported, and
-looked at once.
+the released version draws from 500 to 999, and no earlier version drew: for
+figures that are reported, and looked at once.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import argparse
 import hashlib
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -49,6 +50,8 @@ CONTROLS: Final = (
 """Drives of the controls, car by car; the first are those of the effects."""
 
 RELEASE_SEEDS: Final = range(500, 1000)
+CHANGELOG: Final = Path(__file__).parents[2] / "CHANGELOG.md"
+CARS: Final = 10
 
 RIGHT: Final[dict[str, set[str]]] = {
     "mu_fade": {"friction_fade", "change.effect.friction_fade.strength"},
@@ -168,9 +171,30 @@ class SecondWorld(World):
 
 
 def release_seeds(cars: int) -> list[int]:
-    """Return the seeds of this version, the same on every computer."""
-    digest = hashlib.sha256(bstm_daemon.__version__.encode()).digest()
-    return random.Random(digest).sample(RELEASE_SEEDS, cars)  # noqa: S311
+    """Return the seeds of this version, the same on every computer.
+
+    Without those of the :data:`CARS` of each earlier one.
+    """
+    text = CHANGELOG.read_text("utf-8")
+    newest_first = re.findall(r"^## \[(\d[^]]*)\]", text, re.MULTILINE)
+    used: list[int] = []
+    for version in reversed(newest_first):
+        if version == bstm_daemon.__version__:
+            return _unused(version, cars, used)
+        used += _unused(version, CARS, used)
+    sys.exit(f"{CHANGELOG}: no version {bstm_daemon.__version__}")
+
+
+def _unused(version: str, cars: int, used: list[int]) -> list[int]:
+    """Return the first seeds that *version* draws and that are not *used*."""
+    digest = hashlib.sha256(version.encode()).digest()
+    drawn = random.Random(digest)  # noqa: S311  (no secret)
+    seeds: list[int] = []
+    while len(seeds) < cars:
+        seed = drawn.choice(RELEASE_SEEDS)
+        if seed not in {*used, *seeds}:
+            seeds.append(seed)
+    return seeds
 
 
 def cases(seed: int, effects: int, controls: int) -> list[Case]:
@@ -188,7 +212,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--release", action="store_true")
     parser.add_argument("--first", type=int, default=101)
-    parser.add_argument("--cars", type=int, default=10)
+    parser.add_argument("--cars", type=int, default=CARS)
     parser.add_argument("--effects", type=int, default=6)
     parser.add_argument("--controls", type=int, default=6)
     parser.add_argument("--unlisted", action="store_true")
