@@ -66,8 +66,14 @@ def stepped(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("name", ["FL", "car"])
+@pytest.mark.parametrize(
+    ("name", "fmi"),
+    [
+        *(("FL", 2), ("FL", 3), ("car", 2)),
+        # nothing else of .ci/run compiles it
+        pytest.param("car", 3, marks=pytest.mark.full),
+    ],
+)
 def test_fmpy_finds_no_problem(
     fmu_file: Callable[[str, int], Path], name: str, fmi: int
 ) -> None:

@@ -329,6 +329,7 @@ def test_nothing_is_added_where_nothing_is_hidden(
 
 
 @pytest.mark.slow
+@pytest.mark.full  # with made-up matches it runs every time, above
 def test_what_the_other_drive_contradicts_is_dropped(
     calibrated: Callable[..., Calibrated],
     made: Callable[..., Recording],
