@@ -206,7 +206,7 @@ def test_buses_are_told_apart(compile_map: Compile) -> None:
         (
             "primary_pressure",
             source("BRAKES", "pressure", "bar"),
-            ("message = 'BRAKES': not in 'car.dbc', did you mean 'BRAKE'?"),
+            "message = 'BRAKES': not in 'car.dbc', did you mean 'BRAKE'?",
         ),
         (
             "primary_pressure",
