@@ -31,7 +31,7 @@ from bstm_daemon.analysis.gap.signatures import (
 )
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import march, model_of
-from bstm_daemon.analysis.matching.thermocouples import Thermocouple
+from bstm_daemon.analysis.matching.thermocouples import Thermocouple, lagged
 from bstm_daemon.analysis.statistics.evidence import Projector
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.bus.signals.columns import Events
@@ -368,9 +368,9 @@ def _predicted(
     own = {node.name for node in model.network.nodes}
     every = round(READ_S / GRID_S)
     return {
-        node: Thermocouple(
-            drive.time_s[::every], result[model.shown(node)][::every, 0]
-        )
+        node: Thermocouple(drive.time_s[::every], shown[::every, 0])
         for node in nodes
         if node in own
+        for lag_s in [model.lag_s.get(node, 0.0)]
+        for shown in [lagged(result[node], lag_s, GRID_S)]
     }

@@ -29,6 +29,7 @@ from bstm_daemon.analysis.matching.march import (
     model_of,
 )
 from bstm_daemon.analysis.matching.problem import Series, series_of
+from bstm_daemon.analysis.matching.thermocouples import lagged
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.analysis.statistics.whitening import SensorNoise
@@ -266,7 +267,7 @@ class Comparison(Layout):
             begin = [initial_temperatures(p, own, corner) for p in settle]
             result = march(
                 *(variants, own, corner, begin if each_settles else begin[0]),
-                nodes=[model.shown(one.node) for one in self.series],
+                nodes=[one.node for one in self.series],
             )
             sampled = self.sampled(configs[0], pair[0], model, result)
             for node, values in sampled.items():
@@ -289,7 +290,11 @@ class Comparison(Layout):
         late_s, late_share = edited_inputs(config).clock_late
         return {
             one.node: at_steps(
-                result[model.shown(one.node)],
+                lagged(
+                    result[one.node],
+                    model.lag_s.get(one.node, 0.0),
+                    GRID_S,
+                ),
                 one.steps - (late_s + late_share * one.time_s) / GRID_S,
             )
             for one in self.series

@@ -38,6 +38,7 @@ from bstm_daemon.analysis.gap.signatures import (
 )
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.analysis.matching.march import march, model_of
+from bstm_daemon.analysis.matching.thermocouples import InPad, lagged
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.errors import ConfigError
@@ -95,6 +96,7 @@ class Response:
                 whole = one.edit(whole)
         net = whole.network
         corner = model.spec.name
+        self.placed = drive.placed.get(corner, {})
         found = march(
             [compiled_model(whole)],
             drive,
@@ -169,15 +171,37 @@ class Response:
         heat_w = np.array(heats).T
         state = np.zeros((len(self.place), len(terms)))
         flat = np.array(into) * len(terms) + np.array(term_of)
-        shown = [self.place[self.model.shown(node)] for node in nodes]
+        shown = self._shown(nodes)
         found = np.empty((len(nodes), self.count, len(terms)))
         for block in range(self.count):
             right = np.bincount(flat, heat_w[block], state.size)
             right = right.reshape(state.shape)
             right += self.capacity[block][:, None] * state
             state = self.inverse[block] @ right
-            found[:, block] = state[shown]
-        return dict(zip(nodes, found, strict=True))
+            found[:, block] = shown @ state
+        return {
+            node: lagged(
+                change_k, self.model.lag_s.get(node, 0.0), BLOCK * GRID_S
+            )
+            for node, change_k in zip(nodes, found, strict=True)
+        }
+
+    def _shown(self, nodes: Sequence[str]) -> Column:
+        """Return the share that each node has in what thermocouples read.
+
+        Those of *nodes*, (thermocouples, nodes).
+        """
+        shown = np.zeros((len(nodes), len(self.place)))
+        for row, node in zip(shown, nodes, strict=True):
+            place = self.placed.get(node)
+            shares = (
+                place.shares(self.model.network)
+                if isinstance(place, InPad)
+                else {node: 1.0}
+            )
+            for name, share in shares.items():
+                row[self.place[name]] = share
+        return shown
 
 
 class Search:

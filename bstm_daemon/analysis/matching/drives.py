@@ -387,11 +387,9 @@ def begin_as_measured(estimator: Estimator, events: Events) -> None:
     placed = placements(estimator.config)
     for batch, names in estimator.batches:
         for member, corner in enumerate(names):
-            nodes = [
-                node.name for node in estimator.programs[corner].network.nodes
-            ]
+            network = estimator.programs[corner].network
             held = {
-                node_at(node, placed.get(corner, {}), nodes): first(
+                node_at(node, placed.get(corner, {}), network): first(
                     f"temp_{corner.lower()}_{node}"
                 )
                 for node in MEASURED_NODES

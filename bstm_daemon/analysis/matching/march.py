@@ -19,8 +19,8 @@ from bstm_daemon.analysis.matching.drives import (
 from bstm_daemon.analysis.matching.thermocouples import (
     InPad,
     Placement,
+    lining_of,
     node_at,
-    pad_nodes,
 )
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.channels import CHANNELS
@@ -28,6 +28,7 @@ from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.kernel import Batch
+from bstm_daemon.model.thermal.network import Network
 from bstm_daemon.model.thermal.program import Program, compile_network
 
 STEADY_K: Final = 10.0
@@ -45,7 +46,8 @@ def initial_temperatures(
     Measured nodes as measured, the others as they settle beside them.
     """
     at_s = np.arange(0.0, BEGIN_S, GRID_S) + GRID_S
-    nodes = {node.name for node in program.network.nodes}
+    network = program.network
+    nodes = {node.name for node in network.nodes}
     held = {}
     for node, couple in drive.measured.get(corner, {}).items():
         first = couple.at(at_s)
@@ -56,7 +58,7 @@ def initial_temperatures(
                 first = couple.temperature_k[:1]
             held[node] = float(first.mean())
     placed = drive.placed.get(corner, {})
-    held = {node_at(one, placed, nodes): k for one, k in held.items()}
+    held = {node_at(one, placed, network): k for one, k in held.items()}
     ambient_k = float(drive.channel(corner, "ambient_k")[0])
     return settled(program, held, ambient_k)
 
@@ -101,8 +103,11 @@ def march(  # noqa: PLR0913
         initial_k = [initial_k] * len(programs)
     inputs = drive.inputs[:, drive.corners.index(corner)]
     placed = drive.placed.get(corner, {})
-    names = [node.name for node in programs[0].network.nodes]
-    forced = {node_at(n, placed, names): k for n, k in (forced or {}).items()}
+    network = programs[0].network
+    names = [node.name for node in network.nodes]
+    forced = {
+        node_at(n, placed, network): k for n, k in (forced or {}).items()
+    }
     sets = [0] * len(programs)
     if power_w is not None or any(k.ndim > 1 for k in forced.values()):
         sets = list(range(len(programs)))
@@ -116,7 +121,7 @@ def march(  # noqa: PLR0913
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = own_k[name]
     size = batch.width + batch.sources
-    between = {*placed, *pad_nodes(names)} if placed else set()
+    between = {*placed, *lining_of(network)} if placed else set()
     wanted = [n for n in names if not nodes or n in {*nodes, *between}]
     columns = [names.index(name) for name in wanted]
     columns += [programs[0].state_names.index(name) for name in memories]
@@ -130,7 +135,7 @@ def march(  # noqa: PLR0913
     found = dict(zip((*wanted, *memories), kept, strict=True))
     if power_w is None:
         power_w = drive.channel(corner, "brake_power_w")[:, None]
-    return found | _at_their_places(found, placed, power_w)
+    return found | _at_their_places(found, placed, network, power_w)
 
 
 def _following(
@@ -152,11 +157,12 @@ def _following(
 def _at_their_places(
     found: Mapping[str, Column],
     placed: Mapping[str, Placement],
+    network: Network,
     power_w: Column,
 ) -> dict[str, Column]:
     """Return what thermocouples of known depth show of the nodes *found*."""
     return {
-        couple: place.reading(found)
+        couple: place.reading(found, network)
         if isinstance(place, InPad)
         else found[couple]
         + np.stack([place.excess_k(one, GRID_S) for one in power_w.T], axis=1)

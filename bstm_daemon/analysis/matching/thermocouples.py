@@ -9,7 +9,7 @@ Heat in Solids, 3.8), and builds up with the time constant
 ``d^2 / (pi^2 a)`` of its slowest part.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
 from typing import Final
@@ -18,7 +18,9 @@ import numpy as np
 
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.config.sections import Config
+from bstm_daemon.errors import ConfigError
 from bstm_daemon.model.thermal.brake_corner import CornerSpec, corner_spec
+from bstm_daemon.model.thermal.network import Network
 from bstm_daemon.roles import MEASURED_NODES, ROLE_INDEX, ROLES
 
 LONGEST_GAP_S: Final = 5.0
@@ -41,6 +43,10 @@ PAD: Final = "pad_front"
 
 MEMORY_STEPS: Final = 24
 """What came before so many steps has no part in the profile of a disc."""
+
+
+LAG_STEPS: Final = 64
+"""Steps of a lag that are taken at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,22 +75,40 @@ class Thermocouple:
 
 @dataclass(frozen=True, slots=True)
 class InPad:
-    """At ``slab`` of the chain of pad nodes, counted from the face."""
+    """So deep below the friction face of a lining."""
 
-    slab: float
+    depth_m: float
 
-    def reading(self, at_k: Mapping[str, Column]) -> Column:
+    def shares(self, network: Network) -> dict[str, float]:
+        """Return how much of its reading is of which node.
+
+        Above the first node and below the last as these are.
+        """
+        lining = lining_of(network)
+        depths_m = list(lining.values())
+        place = float(np.interp(self.depth_m, depths_m, range(len(depths_m))))
+        above = min(int(place), len(depths_m) - 2)
+        upper, lower = list(lining)[above : above + 2]
+        return {upper: 1.0 - (place - above), lower: place - above}
+
+    def reading(self, at_k: Mapping[str, Column], network: Network) -> Column:
         """Return the temperature [K], shaped as that of a node of *at_k*."""
-        names = pad_nodes(at_k)
-        below = min(int(self.slab), len(names) - 2)
-        share = self.slab - below
-        upper, lower = at_k[names[below]], at_k[names[below + 1]]
-        return (1.0 - share) * upper + share * lower
+        upper, lower = (
+            share * at_k[name] for name, share in self.shares(network).items()
+        )
+        return upper + lower
 
-    def node(self, names: Collection[str]) -> str:
-        """Return the nearest node."""
-        chain = pad_nodes(names)
-        return chain[min(round(self.slab), len(chain) - 1)]
+    def node(self, network: Network) -> str:
+        """Return the nearest node.
+
+        Raises:
+            ConfigError: a pad model of the user's that gives no depths.
+        """
+        lining = lining_of(network)
+        if not lining:
+            msg = "depth_m: this pad.model gives none of its nodes a depth_m"
+            raise ConfigError([msg])
+        return min(lining, key=lambda name: abs(lining[name] - self.depth_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,18 +140,15 @@ def placements(config: Config) -> dict[str, dict[str, Placement]]:
             signal = config.signals.get(role)
             if signal is not None and signal.depth_m is not None:
                 spec = corner_spec(config, corner)
-                place = _placement(spec, node, signal.depth_m)
-                found.setdefault(corner.name, {})[node] = place
+                found.setdefault(corner.name, {})[node] = (
+                    InPad(signal.depth_m)
+                    if node == PAD
+                    else _in_disc(spec, signal.depth_m)
+                )
     return found
 
 
-def _placement(spec: CornerSpec, node: str, depth_m: float) -> Placement:
-    if node == PAD:
-        pad = spec.pad
-        full = pad.surface_cells == "full"
-        cells = pad.slabs + (2 if full else 1)
-        slab = depth_m / pad.thickness_m * cells - (0.5 if full else 0.0)
-        return InPad(min(max(slab, 0.0), float(pad.slabs + 1)))
+def _in_disc(spec: CornerSpec, depth_m: float) -> InDisc:
     disc = spec.disc
     density = disc.density_kg_m3
     thickness_m = disc.mass_kg / (density * disc.swept_area_m2)
@@ -141,19 +162,50 @@ def _placement(spec: CornerSpec, node: str, depth_m: float) -> Placement:
     )
 
 
+def lagged(values: Column, time_s: float, step_s: float) -> Column:
+    """Return *values* (steps, n) as what follows them with *time_s* shows.
+
+    Exact for what goes in straight lines from step to step; the first is
+    there from the start.
+    """
+    if not time_s > 0.0:
+        return values
+    keep = np.exp(-step_s / time_s)
+    rise = (
+        -time_s
+        / step_s
+        * (1.0 - keep)
+        * np.diff(values, axis=0, prepend=values[:1])
+    )
+    ages = np.arange(LAG_STEPS)
+    since = np.tril(keep ** np.abs(ages[:, None] - ages))
+    behind = np.zeros(values.shape[1:])
+    shown = np.empty_like(values)
+    for first in range(0, len(values), LAG_STEPS):
+        own = slice(first, first + LAG_STEPS)
+        count = len(rise[own])
+        apart = since[:count, :count] @ rise[own]
+        apart += keep ** (ages[:count, None] + 1.0) * behind
+        shown[own] = values[own] + apart
+        behind = apart[-1]
+    return shown
+
+
 def node_at(
-    node: str, placed: Mapping[str, Placement], names: Collection[str]
+    node: str, placed: Mapping[str, Placement], network: Network
 ) -> str:
-    """Return the one of *names* that the thermocouple of *node* is next to."""
+    """Return the node that the thermocouple of *node* is next to."""
     place = placed.get(node)
-    return place.node(names) if isinstance(place, InPad) else node
+    return place.node(network) if isinstance(place, InPad) else node
 
 
-def pad_nodes(names: Collection[str]) -> list[str]:
-    """Return the pad's nodes among *names*, from the face to the back."""
-    slabs = [name for name in names if name.removeprefix("pad_").isdigit()]
-    slabs.sort(key=lambda name: int(name.removeprefix("pad_")))
-    return [PAD, *slabs, "pad_back"]
+def lining_of(network: Network) -> dict[str, float]:
+    """Return the depth [m] of each node of a lining, from the face on."""
+    return {
+        one.name: one.depth_m
+        for one in network.nodes
+        if one.depth_m is not None
+    }
 
 
 def thermocouples_of(

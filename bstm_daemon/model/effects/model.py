@@ -42,17 +42,16 @@ class CornerModel:
     """One corner's network and what it was built from.
 
     ``heat_from_pressure`` is whether the brake power is Feed-Forward; an
-    effect on friction must leave a measured power alone. ``shown_by`` maps a
-    node to the one whose temperature its thermocouple shows, where that is
-    another. ``friction`` is what the pass over samples makes of the pressure,
-    in any mode.
+    effect on friction must leave a measured power alone. ``lag_s`` are the
+    time constants of thermocouples that are late, by node. ``friction`` is
+    what the pass over samples makes of the pressure, in any mode.
     """
 
     spec: CornerSpec
     network: Network
     heat_from_pressure: bool
     wheel_radius_m: float = 0.33
-    shown_by: Mapping[str, str] = field(default_factory=dict)
+    lag_s: Mapping[str, float] = field(default_factory=dict)
     friction: FrictionLaw = field(default_factory=FrictionLaw)
 
     def with_network(self, network: Network) -> CornerModel:
@@ -96,15 +95,9 @@ class CornerModel:
         """Node of the caliper: its own, or the lump with the fluid."""
         return CALIPER if self.has_node(CALIPER) else "fluid"
 
-    def showing(
-        self, network: Network, shown_by: Mapping[str, str]
-    ) -> CornerModel:
-        """Return the same corner with *network* and what its sensors show."""
-        return replace(self, network=network, shown_by=shown_by)
-
-    def shown(self, node: str) -> str:
-        """Name of the state that a thermocouple on *node* shows."""
-        return self.shown_by.get(node, node)
+    def with_lag(self, lag_s: Mapping[str, float]) -> CornerModel:
+        """Return the same corner with thermocouples that are late besides."""
+        return replace(self, lag_s={**self.lag_s, **lag_s})
 
 
 @dataclass(frozen=True, slots=True)

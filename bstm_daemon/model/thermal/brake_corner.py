@@ -231,7 +231,8 @@ def lumped_disc(net: Network, spec: CornerSpec) -> Network:
 def slab_pads(net: Network, spec: CornerSpec) -> Network:
     """Both pads as one chain of slabs (Eq 4.14 to 4.17) and the backplate.
 
-    A pad builder must add ``pad_front``, ``pad_back`` and ``backplate``.
+    A pad builder must add ``pad_front``, ``pad_back`` and ``backplate``; a
+    thermocouple is read between those nodes that have a depth.
 
     ``half`` puts a node on each surface with half a slab behind it;
     ``full`` is the thesis's mesh, whose end cells are whole and whose
@@ -252,7 +253,8 @@ def slab_pads(net: Network, spec: CornerSpec) -> Network:
     for i, name in enumerate(names):
         surface = i in (0, count - 1) and not full
         size = lump * cp_j_kgk * (0.5 if surface else 1.0)
-        net = net.with_node(Node(name, size, cp_table))
+        depth_m = dz * (i + 0.5 if full else i)
+        net = net.with_node(Node(name, size, cp_table, depth_m=depth_m))
     slab = k_w_mk * spec.pads_area_m2 / dz
     for a, b in pairwise(names):
         factors = () if k_table is None else (mean(a, b, k_table),)

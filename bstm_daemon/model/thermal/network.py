@@ -79,7 +79,8 @@ class Node:
     """A lump: ``C = capacity_j_k * capacity_table(T) * factors`` [J/K].
 
     A capacity of 0 makes the node algebraic. With ``boundary_input`` the
-    node is a boundary whose temperature [K] is that input.
+    node is a boundary whose temperature [K] is that input. What lies in a
+    lining has its depth below the friction face.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Node:
     capacity_table: Table | None = None
     factors: tuple[Factor, ...] = ()
     boundary_input: str | None = None
+    depth_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +13,7 @@ from bstm_daemon.analysis.gap import composing, workflow
 from bstm_daemon.analysis.gap.advising import samples_of
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.composing import (
+    Response,
     Search,
     _as_likely,
     cost,
@@ -27,6 +29,13 @@ from bstm_daemon.analysis.gap.signatures import (
 )
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.identify.writing import write_changed
+from bstm_daemon.analysis.matching.drives import GRID_S
+from bstm_daemon.analysis.matching.march import model_of
+from bstm_daemon.analysis.matching.thermocouples import (
+    InPad,
+    lagged,
+    lining_of,
+)
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
 from bstm_daemon.analysis.statistics.evidence import FREE
 from bstm_daemon.config.reading import load_config
@@ -102,6 +111,25 @@ def test_the_response_is_that_of_the_whole_model(
     size = np.linalg.norm(column)
     assert found @ column > alike * np.linalg.norm(found) * size
     assert np.linalg.norm(found) == pytest.approx(size, rel=0.12)
+
+
+def test_the_response_is_at_the_thermocouple_and_as_late(
+    config: Config, made: Callable[..., Recording]
+) -> None:
+    """One as deep as the second node shows that node, 20 s late."""
+    drive = made().drive
+    model = model_of(config, "FL")
+    _, depth_m, *_ = lining_of(model.network).values()
+    deep = replace(drive, placed={"FL": {"pad_front": InPad(depth_m)}})
+    late = model.with_lag({"pad_front": 20.0})
+    (term,) = terms = [read("disc to air", 5.0)]
+
+    second = Response(model, drive, terms).of(terms, ["pad_1"])["pad_1"]
+    shown = Response(late, deep, terms).of([term], ["pad_front"])["pad_front"]
+
+    assert np.ptp(second) > 1.0
+    block_s = composing.BLOCK * GRID_S
+    assert shown == pytest.approx(lagged(second, 20.0, block_s))
 
 
 def test_the_hidden_term_is_first_and_of_its_size(

@@ -15,12 +15,16 @@ from bstm_daemon.analysis.matching.march import (
 from bstm_daemon.analysis.matching.thermocouples import (
     InDisc,
     InPad,
+    lagged,
+    lining_of,
     node_at,
     placements,
     thermocouples_of,
 )
-from bstm_daemon.config.sections import Config, SignalConfig
+from bstm_daemon.config.sections import Config, EffectConfig, SignalConfig
+from bstm_daemon.errors import ConfigError
 from bstm_daemon.estimator.corner_model import compile_corner
+from bstm_daemon.model.thermal.network import Network, Node
 from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
@@ -30,29 +34,53 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.matching.tunables import Target
 
 
-NAMES = ["pad_front", "pad_1", "pad_2", "pad_3", "pad_back"]
+LINING = Network(
+    (),
+    tuple(
+        Node(name, 1.0, depth_m=depth_m)
+        for name, depth_m in [
+            ("disc", None),
+            ("pad_front", 0.001),
+            ("pad_1", 0.003),
+            ("pad_2", 0.005),
+            ("pad_back", 0.007),
+        ]
+    ),
+)
+"""Whole cells, whose middles the nodes are."""
 
 
 @pytest.mark.parametrize(
-    ("slab", "kelvin"), [(0.0, 400.0), (0.5, 380.0), (2.25, 315.0), (4, 250.0)]
+    ("depth_m", "kelvin"),
+    [(0.0, 400.0), (0.002, 380.0), (0.0055, 312.5), (0.008, 290.0)],
 )
 def test_between_slabs_the_reading_is_between(
-    slab: float, kelvin: float
+    depth_m: float, kelvin: float
 ) -> None:
-    at_k = dict(zip(NAMES, [400.0, 360.0, 320.0, 300.0, 250.0], strict=True))
-    columns = {name: np.full((3, 2), k) for name, k in at_k.items()}
+    kelvins = [500.0, 400.0, 360.0, 320.0, 290.0]
+    columns = {
+        node.name: np.full((3, 2), k)
+        for node, k in zip(LINING.nodes, kelvins, strict=True)
+    }
 
-    assert InPad(slab).reading(columns) == pytest.approx(
+    assert InPad(depth_m).reading(columns, LINING) == pytest.approx(
         np.full((3, 2), kelvin)
     )
 
 
 def test_the_node_that_is_forced_is_the_nearest() -> None:
-    placed = {"pad_front": InPad(1.6), "disc": InDisc(1e-4, 1.0)}
+    placed = {"pad_front": InPad(0.0043), "disc": InDisc(1e-4, 1.0)}
 
-    assert node_at("pad_front", placed, NAMES) == "pad_2"
-    assert node_at("disc", placed, NAMES) == "disc"
-    assert node_at("pad_front", {}, NAMES) == "pad_front"
+    assert node_at("pad_front", placed, LINING) == "pad_2"
+    assert node_at("disc", placed, LINING) == "disc"
+    assert node_at("pad_front", {}, LINING) == "pad_front"
+
+
+def test_a_pad_model_without_depths_is_told() -> None:
+    shallow = replace(LINING, nodes=LINING.nodes[:1])
+
+    with pytest.raises(ConfigError, match=r"depth_m: this pad\.model gives"):
+        node_at("pad_front", {"pad_front": InPad(0.002)}, shallow)
 
 
 def test_excess_in_a_disc_is_that_of_a_plate() -> None:
@@ -100,20 +128,53 @@ def with_depth(config: Config, role: str, depth_m: float) -> Config:
     return config.model_copy(update={"signals": signals})
 
 
-def test_a_depth_is_a_place_in_the_chain_of_slabs(target: Target) -> None:
-    """Half of the lining is the middle of the chain, whatever the mesh."""
+@pytest.mark.parametrize("cells", ["half", "full"])
+def test_nodes_lie_where_the_mesh_has_them(target: Target, cells: str) -> None:
+    """Half cells have a node on each face, whole ones in their middle."""
     pad = target.corner.pad
     assert pad is not None
-    corner = target.corner.name
-    config = with_depth(
-        target.config,
-        f"temp_{corner.lower()}_pad_front",
-        0.5 * pad.thickness_m,
+    pad = pad.model_copy(update={"surface_cells": cells})
+    corner = target.corner.model_copy(update={"pad": pad})
+
+    network = compile_corner(target.config, corner).network
+
+    depth_m = list(lining_of(network).values())
+    if cells == "half":
+        expected = np.linspace(0.0, pad.thickness_m, pad.slabs + 2)
+    else:
+        edges = np.linspace(0.0, pad.thickness_m, pad.slabs + 3)
+        expected = 0.5 * (edges[1:] + edges[:-1])
+    assert depth_m == pytest.approx(expected)
+
+
+def test_in_worn_linings_a_thermocouple_is_as_deep(
+    made: Callable[..., Drive], target: Target
+) -> None:
+    """So it is at a larger share of the thickness, and cooler."""
+    pad = target.corner.pad
+    assert pad is not None
+    worn_m = 0.5 * pad.thickness_m
+    worn = EffectConfig(name="pad_wear", parameters={"worn_m": worn_m})
+    drive, corner = made(), target.corner.name
+    # a node of the worn chain, the second of the whole one
+    depth_m = 0.5 * pad.thickness_m / (pad.slabs + 1) * 2
+    placed = {corner: {"pad_front": InPad(depth_m)}}
+    program = compile_corner(
+        target.config.model_copy(update={"effect": [worn]}), target.corner
     )
+    start = initial_temperatures(program, drive, corner)
+    nodes = march([program], drive, corner, start)
+    read = march([program], replace(drive, placed=placed), corner, start)
 
-    placed = placements(config)[corner]["pad_front"]
+    assert read["pad_front"] == pytest.approx(nodes["pad_2"])
 
-    assert placed == InPad(pytest.approx(0.5 * (pad.slabs + 1)))
+
+def test_only_a_configured_depth_is_a_place(target: Target) -> None:
+    corner = target.corner.name
+    role = f"temp_{corner.lower()}_pad_front"
+    config = with_depth(target.config, role, 0.002)
+
+    assert placements(config) == {corner: {"pad_front": InPad(0.002)}}
     assert placements(target.config) == {}
 
 
@@ -170,15 +231,36 @@ def test_a_march_reads_where_the_thermocouple_is(
 ) -> None:
     drive = made()
     corner = target.corner.name
-    placed = {corner: {"pad_front": InPad(1.5), "disc": InDisc(1e-3, 1.0)}}
     program = compile_corner(target.config, target.corner)
+    _, above_m, below_m, *_ = lining_of(program.network).values()
+    between = InPad(0.5 * (above_m + below_m))
+    placed = {corner: {"pad_front": between, "disc": InDisc(1e-3, 1.0)}}
     start = initial_temperatures(program, drive, corner)
     nodes = march([program], drive, corner, start)
     read = march([program], replace(drive, placed=placed), corner, start)
 
-    between = 0.5 * (nodes["pad_1"] + nodes["pad_2"])
-    assert read["pad_front"] == pytest.approx(between)
+    mean_k = 0.5 * (nodes["pad_1"] + nodes["pad_2"])
+    assert read["pad_front"] == pytest.approx(mean_k)
     power_w = drive.channel(corner, "brake_power_w")
     excess = (read["disc"] - nodes["disc"])[:, 0]
     assert excess.max() == pytest.approx(1e-3 * power_w.max(), rel=0.02)
     assert read["fluid"] == pytest.approx(nodes["fluid"])
+
+
+@pytest.mark.parametrize("time_s", [0.05, 15.0, 400.0])
+def test_what_follows_late_is_behind_by_rate_times_time(time_s: float) -> None:
+    """A ramp after rest: behind by s tau (1 - exp(-t / tau)), to the bit."""
+    time = np.arange(0.0, 500.0, 0.5)
+    ramp = np.maximum(time - 10.0, 0.0)
+    values = 300.0 + np.outer(ramp, [0.2, -1.5])
+
+    behind = values - lagged(values, time_s, 0.5)
+
+    expected = np.outer(time_s * (1 - np.exp(-ramp / time_s)), [0.2, -1.5])
+    assert behind == pytest.approx(expected, abs=1e-9)
+
+
+def test_what_is_not_late_is_shown_as_it_is() -> None:
+    values = np.array([[300.0], [301.0]])
+
+    assert lagged(values, 0.0, 0.5) is values

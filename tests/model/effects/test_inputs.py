@@ -397,33 +397,12 @@ def test_offset_moves_a_forced_disc(car: Callable[..., Config]) -> None:
     )
 
 
-def test_a_lagging_sensor_shows_the_past(
-    corner: Callable[..., Corner],
-) -> None:
-    """The bead is behind by rate times time constant; nothing is lost."""
-    there = corner("thermocouple_lag", time_s=10.0)
-    base = corner(None)
-    for one in (there, base):
-        one.drive(120, 20e3)
-    rates = []
-    for _ in range(2):
-        before = there["disc"]
-        there.drive(1, 20e3)
-        base.drive(1, 20e3)
-        rates.append(there["disc"] - before)
-    behind = there["disc"] - there["disc_sensor"]
-    assert behind == pytest.approx(10.0 * rates[-1], rel=0.06)
-    assert there["disc"] == pytest.approx(base["disc"], abs=1e-3)
-    ledger = there.ledger()
-    assert abs(ledger.residual) < 1e-9 * ledger.generated
-
-
 def test_one_sensor_errs_alone(car: Callable[..., Config]) -> None:
     late = car("ff", "thermocouple_lag", sensor=1.0)
-    shown = corner_model(late, late.corner[0]).shown
+    lag_s = corner_model(late, late.corner[0]).lag_s
     high = edited_inputs(car("ff", "thermocouple_offset", sensor=5.0))
 
-    assert (shown("disc"), shown("fluid")) == ("disc_sensor", "fluid")
+    assert lag_s == {"disc": 15.0}
     for name in ("thermocouple_lag", "thermocouple_offset"):
         assert [sensors_of(f["sensor"]) for f in effect_class(name).forms] == [
             (node,) for node in MEASURED_NODES if node != "disc_2"
@@ -433,17 +412,16 @@ def test_one_sensor_errs_alone(car: Callable[..., Config]) -> None:
     }
 
 
-def test_the_model_names_what_a_sensor_shows(
+def test_sensors_are_late_and_the_brake_is_not(
     car: Callable[..., Config],
 ) -> None:
-    """With the lag the bead, without it the node itself."""
-    plain, slow = car("ff"), car("ff", "thermocouple_lag")
-    first = plain.corner[0]
-    assert corner_model(plain, first).shown("disc") == "disc"
-    model = corner_model(slow, first)
-    assert model.shown("disc") == "disc_sensor"
-    assert model.shown("fluid") == "fluid_sensor"
-    assert model.shown("pad_3") == "pad_3"
+    """By strength times time; the network has no part in it."""
+    plain, slow = car("ff"), car("ff", "thermocouple_lag", strength=0.4)
+    model = corner_model(slow, slow.corner[0])
+
+    assert model.lag_s == dict.fromkeys(MEASURED_NODES, 6.0)
+    assert model.network == corner_model(plain, plain.corner[0]).network
+    assert corner_model(plain, plain.corner[0]).lag_s == {}
 
 
 def test_heat_soak_grows_parked_and_clears(

@@ -15,7 +15,8 @@ class PadWear(Effect):
     """Every slab is thinner by the same share: less mass, a shorter way.
 
     What is lost is lost before the drive; a drive of 60 MJ a corner takes
-    about 1 mm more.
+    about 1 mm more. A thermocouple is as deep below the face as configured,
+    in worn linings too: one that is not would be worn away.
     """
 
     number = 21
@@ -30,13 +31,17 @@ class PadWear(Effect):
     )
 
     def edit_network(self, model: CornerModel) -> Network:
-        """Scale capacities and conductances of the lining."""
+        """Scale capacities, conductances and depths of the lining."""
         whole = model.spec.pad.thickness_m
         least = min(THINNEST_M, whole)
         left = max(whole - self.scaled("worn_m"), least) / whole
         return edit_lining(
             model.network,
-            lambda one: replace(one, capacity_j_k=left * one.capacity_j_k),
+            lambda one: replace(
+                one,
+                capacity_j_k=left * one.capacity_j_k,
+                depth_m=None if one.depth_m is None else left * one.depth_m,
+            ),
             lambda one: replace(
                 one, conductance_w_k=one.conductance_w_k / left
             ),

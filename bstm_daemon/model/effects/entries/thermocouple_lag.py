@@ -2,23 +2,14 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.effects.tables import (
-    EACH_SENSOR,
-    NEGLIGIBLE,
-    SENSOR,
-    sensors_of,
-)
-from bstm_daemon.model.thermal.network import Link, Node
-
-BEAD_J_K = 1e-3
-"""A welded bead of 0.7 mm; what it takes from its node can not be seen."""
+from bstm_daemon.model.effects.tables import EACH_SENSOR, SENSOR, sensors_of
 
 
 class ThermocoupleLag(Effect):
-    """A bead on each measured node, or one, that follows with a time constant.
+    """Each thermocouple, or one, follows with a time constant.
 
     Sheathed elements in contact take 5 to 20 s. A lag can not be taken off a
-    noisy reading, so the model shows what a lagging sensor would.
+    noisy reading, so what the model has is shown as late; no heat is moved.
     """
 
     number = 32
@@ -33,17 +24,8 @@ class ThermocoupleLag(Effect):
     forms = EACH_SENSOR
 
     def edit(self, model: CornerModel) -> CornerModel:
-        """Add a bead for every node that may be measured."""
-        if self.strength < NEGLIGIBLE:
-            return model
-        conductance = BEAD_J_K / self.scaled("time_s")
-        net, shown = model.network, dict(model.shown_by)
-        for node in sensors_of(self["sensor"]):
-            if not model.has_node(node):
-                continue
-            bead = f"{node}_sensor"
-            net = net.with_node(Node(bead, BEAD_J_K)).with_link(
-                Link(f"{node}-sensor", node, bead, conductance)
-            )
-            shown[node] = bead
-        return model.showing(net, shown)
+        """Let those nodes that may be measured be shown late."""
+        time_s = self.scaled("time_s")
+        return model.with_lag(
+            dict.fromkeys(sensors_of(self["sensor"]), time_s)
+        )
