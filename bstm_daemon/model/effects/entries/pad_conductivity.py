@@ -30,7 +30,11 @@ class PadConductivity(Effect):
         Parameter("middle_c", "degC", 50.0, 400.0, 220.0, "k as configured"),
         Parameter("span_k", "K", 50.0, 500.0, 180.0, "from there to the end"),
     )
-    forms = ({"middle_c": 120.0, "span_k": 80.0},)
+    forms = (
+        {"middle_c": 120.0, "span_k": 80.0},
+        # k as configured of a cold lining, with the same slope
+        {"middle_c": 50.0, "span_k": 350.0, "rise": 0.43},
+    )
 
     def edit_network(self, model: CornerModel) -> Network:
         """Multiply the links of the lining by a ramp."""
