@@ -124,6 +124,25 @@ class Problem:
             for term in self.terms
         ]
 
+    def rewhitened(
+        self, white: Column, noise: Mapping[str, SensorNoise]
+    ) -> Column:
+        """Return *white* (n, k), the residuals or their derivatives, anew.
+
+        With *noise* from now on; without the residuals of the priors.
+        """
+        before = self._whiteners
+        self.set_noise(noise)
+        parts = np.split(white, np.cumsum([len(one) for one in before])[:-1])
+        return np.concatenate(
+            [
+                after @ np.linalg.solve(old, part)
+                for after, old, part in zip(
+                    self._whiteners, before, parts, strict=True
+                )
+            ]
+        )
+
     def values(self, x: Column) -> dict[str, float]:
         """Return the parameters at *x* by key."""
         return dict(zip(self.keys, np.exp(x).tolist(), strict=True))
