@@ -199,6 +199,55 @@ def show(
     )
 
 
+def fitted_and_shown(
+    naming: Naming,
+    start: Mapping[str, float],
+    comparison: Comparison,
+    basis: Column,
+    held_out: Sequence[Recording],
+    *,
+    known_k: Column,
+) -> tuple[Naming, Fit, Shown]:
+    """Fit what *naming* adopts, and show it on *held_out*.
+
+    Of several names as many, best first, as held-out drives gain by.
+
+    Args:
+        naming: the answer.
+        start: strengths that the fit begins at, by name.
+        comparison: the drives that are fitted.
+        basis: directions (p, q) in which the tunables may move.
+        held_out: drives that are not.
+        known_k: sensitivities of the tunables (n, p), as for :func:`fit`.
+    """
+    baselines = baseline_fits(comparison, known_k)
+    names = naming.adoptable
+    several = held_out and naming.answer == "name"
+    fits = [
+        fit(
+            comparison,
+            {name: a for name, a in start.items() if name in names[:count]},
+            basis,
+            known_k=known_k,
+        )
+        for count in range(1 if several else len(names), len(names) + 1)
+    ]
+    shown = [
+        show(comparison, one, held_out, baselines, known_k=known_k)
+        for one in fits
+    ]
+    # of the same, the first: the fewest
+    best = int(np.argmax([one.shrinks[CONFIGURED].factor for one in shown]))
+    if best < len(fits) - 1:
+        rest = ", ".join(map(name_of, names[best + 1 :]))
+        naming = replace(
+            naming,
+            names=names[: best + 1],
+            reason=f"{naming.reason}; held-out drives gain nothing by {rest}",
+        )
+    return naming, fits[best], shown[best]
+
+
 def contradicted(
     naming: Naming, names: Sequence[str], by: NodeErrors
 ) -> Naming:

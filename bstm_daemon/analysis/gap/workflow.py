@@ -33,6 +33,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     baseline_fits,
     confirmed,
     contradicted,
+    fitted_and_shown,
     show,
 )
 from bstm_daemon.analysis.gap.naming import (
@@ -337,10 +338,11 @@ def _gap(  # noqa: PLR0913
         plain = _advised(plain, comparison, own, question, report_share)
     if until in {"gate", "name", "advise"} or not naming.adoptable:
         return plain
-    start = starts(naming)
-    extended = fit(comparison, start, basis, known_k=simulated.jacobian_k)
+    naming, extended, shown = fitted_and_shown(
+        *(naming, starts(naming), comparison, basis, held_out),
+        known_k=simulated.jacobian_k,
+    )
     report_share(0.85)
-    shown = show(comparison, extended, held_out, known_k=simulated.jacobian_k)
     judged = confirmed(naming, shown, handed_on)
     if not judged.names:
         named = _named_by_forces(judged, by_forces)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap import workflow
+from bstm_daemon.analysis.gap import holdout_comparison, workflow
 from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
     EXTENDED,
@@ -18,8 +18,9 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     _errors,
     _shrink,
     confirmed,
+    fitted_and_shown,
 )
-from bstm_daemon.analysis.gap.naming import Naming
+from bstm_daemon.analysis.gap.naming import Answer, Naming
 from bstm_daemon.analysis.gap.workflow import find_gap
 from bstm_daemon.analysis.statistics.series import white_noise
 from bstm_daemon.report.gap import gap_text
@@ -112,6 +113,58 @@ def test_a_name_needs_held_out_drives_that_gain(
         if answer == "name"
         else f"with it the error of held-out drives is {factor:.2f} times "
         "smaller, and a name needs 1.1"
+    )
+
+
+TWO: Final = ("hub_heat", "caliper_bypass")
+
+
+@pytest.mark.parametrize(
+    ("answer", "held_out", "factors", "count"),
+    [
+        # the second one, or even two, must make the error less
+        ("name", True, {1: 2.0, 2: 2.1}, 2),
+        ("name", True, {1: 2.0, 2: 2.0}, 1),
+        ("name", True, {1: 2.0, 2: 1.9}, 1),
+        ("name", False, {2: 1.9}, 2),
+        # terms of one description belong together
+        ("composed", True, {2: 1.9}, 2),
+    ],
+)
+def test_of_several_names_as_many_are_given_as_held_out_drives_gain_by(
+    monkeypatch: pytest.MonkeyPatch,
+    answer: Answer,
+    factors: dict[int, float],
+    count: int,
+    *,
+    held_out: bool,
+) -> None:
+    start = dict.fromkeys(TWO, 1.0)
+
+    def show(_: Any, own: Any, *__: Any, **___: Any) -> Any:
+        shrink = Shrink(factors[len(own)], 0.5, 9.0)
+        return SimpleNamespace(shrinks={CONFIGURED: shrink}, of=own)
+
+    monkeypatch.setattr(holdout_comparison, "baseline_fits", lambda *_: {})
+    monkeypatch.setattr(
+        holdout_comparison, "fit", lambda _, start, *__, **___: start
+    )
+    monkeypatch.setattr(holdout_comparison, "show", show)
+    naming = Naming(answer, TWO, 0.97, (), {"": 0.01}, "together")
+    nothing: Any = np.zeros((3, 0))
+    drives: Any = ["other.log"] if held_out else []
+
+    found, own, shown = fitted_and_shown(
+        *(naming, start, nothing, nothing, drives), known_k=nothing
+    )
+
+    assert list(own) == list(shown.of) == list(TWO[:count])
+    assert found.names == TWO[:count]
+    assert found.answer == answer
+    assert found.reason == (
+        "together"
+        if count == 2
+        else "together; held-out drives gain nothing by caliper_bypass"
     )
 
 

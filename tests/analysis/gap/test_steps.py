@@ -9,10 +9,15 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 import pytest
 
-from bstm_daemon.analysis.gap import naming, workflow
+from bstm_daemon.analysis.gap import holdout_comparison, naming, workflow
 from bstm_daemon.analysis.gap.advising import Prospect
 from bstm_daemon.analysis.gap.evidence import Candidate
-from bstm_daemon.analysis.gap.holdout_comparison import EXTENDED, SCALED
+from bstm_daemon.analysis.gap.holdout_comparison import (
+    CONFIGURED,
+    EXTENDED,
+    SCALED,
+    Shrink,
+)
 from bstm_daemon.analysis.gap.joint_effects import JointEffects
 from bstm_daemon.analysis.gap.naming import Answer, Naming
 from bstm_daemon.analysis.gap.signatures import Linearised
@@ -68,7 +73,9 @@ def steps(
         )
         one_by_one = iter(held_out)
         shown = SimpleNamespace(
-            against=lambda _: next(one_by_one, against), better=True
+            against=lambda _: next(one_by_one, against),
+            better=True,
+            shrinks={CONFIGURED: Shrink(2.0, 1.5, 2.5)},
         )
         extended = SimpleNamespace(strengths={"gap_conduction": 1.2})
         for name, value in (
@@ -78,10 +85,12 @@ def steps(
                 SimpleNamespace(jacobian_k=None, without=without),
             ),
             ("search", (known, found)),
-            ("fit", extended),
-            ("show", shown),
         ):
             monkeypatch.setattr(workflow, name, says(name, value))
+        for module in (workflow, holdout_comparison):
+            monkeypatch.setattr(module, "fit", says("fit", extended))
+            monkeypatch.setattr(module, "show", says("show", shown))
+            monkeypatch.setattr(module, "baseline_fits", lambda *_: {})
         monkeypatch.setattr(workflow, "directions", lambda _: np.zeros((5, 2)))
         monkeypatch.setattr(workflow, "starts", lambda _: {})
         monkeypatch.setattr(workflow, "written", lambda *_: (("value",), "e"))
@@ -95,7 +104,6 @@ def steps(
                 or ("advice", *members)
             ),
         )
-        monkeypatch.setattr(workflow, "baseline_fits", lambda *_: {})
         (gap,) = find_gap(
             *(config, [made()], [made()] if held_out else ()),
             until=until,
