@@ -269,17 +269,11 @@ def car_samples(steps: int) -> dict[str, np.ndarray]:
     }
 
 
+# on every run test_fmu_drives compares a car's bits on a recorded drive
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("hold", "fmi"),
-    [
-        (1, 2),
-        *(
-            pytest.param(*one, marks=pytest.mark.full)
-            for one in ((1, 3), (2, 2), (2, 3), (20, 2), (20, 3))
-        ),
-    ],
-)
+@pytest.mark.full
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("hold", [1, 2, 20])
 def test_temperatures_of_the_car_equal_those_of_the_estimator(
     opened: Any, vehicle: Any, fmi: int, hold: int
 ) -> None:

@@ -77,7 +77,9 @@ def test_friction_scale(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensors", ["n1", "n2"])
+@pytest.mark.parametrize(
+    "sensors", [pytest.param("n1", marks=pytest.mark.full), "n2"]
+)
 def test_push_out(identified: Callable[..., Brakes], sensors: str) -> None:
     """1 bar, read by a sensor whose zero is off by 0.02 or 0.05 bar."""
     none = identified(sensors=sensors)

@@ -168,6 +168,7 @@ def test_the_reality_s_own_convection(axle_of: AxleOf, sensors: str) -> None:
 
 
 @pytest.mark.slow  # five identifications
+@pytest.mark.full
 def test_intervals_hold_under_drift(axle_of: AxleOf) -> None:
     """Four drives of six speeds, n3 and n4: 90 % intervals hold in 85 %.
 
