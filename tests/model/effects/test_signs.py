@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
 
 if TYPE_CHECKING:
@@ -313,6 +314,24 @@ def test_a_linings_conductivity_stays_above_0(
     low, middle, high = factor.table.values
     assert low == pytest.approx(max(1.0 - 0.22 * wanted, 0.2))
     assert (middle, high) == (1.0, pytest.approx(1.0 + 0.22 * wanted))
+
+
+def test_conductivity_of_a_cold_lining_may_be_as_configured(
+    corner: Make,
+) -> None:
+    """One form has k so at 50 degC, and the usual slope above."""
+    (form,) = (
+        one
+        for one in effect_class("pad_conductivity").forms
+        if one["middle_c"] == 50.0
+    )
+    net = corner("pad_conductivity", **form).program.network
+    (factor,) = net.link("pad_1-pad_2").factors
+    assert factor.table is not None
+    at = {c: factor.table(c + 273.15) for c in (50.0, 230.0)}
+    assert at[50.0] == pytest.approx(1.0)
+    # 22 % in 180 K
+    assert at[230.0] == pytest.approx(1.22, abs=0.002)
 
 
 def test_a_disc_that_takes_more_leaves_the_linings_less(
