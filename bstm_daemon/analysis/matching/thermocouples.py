@@ -83,8 +83,11 @@ class InPad:
         """Return how much of its reading is of which node.
 
         Above the first node and below the last as these are.
+
+        Raises:
+            ConfigError: a pad model of the user's that gives no depths.
         """
-        lining = lining_of(network)
+        lining = _known_lining(network)
         depths_m = list(lining.values())
         place = float(np.interp(self.depth_m, depths_m, range(len(depths_m))))
         above = min(int(place), len(depths_m) - 2)
@@ -104,10 +107,7 @@ class InPad:
         Raises:
             ConfigError: a pad model of the user's that gives no depths.
         """
-        lining = lining_of(network)
-        if not lining:
-            msg = "depth_m: this pad.model gives none of its nodes a depth_m"
-            raise ConfigError([msg])
+        lining = _known_lining(network)
         return min(lining, key=lambda name: abs(lining[name] - self.depth_m))
 
 
@@ -201,11 +201,23 @@ def node_at(
 
 def lining_of(network: Network) -> dict[str, float]:
     """Return the depth [m] of each node of a lining, from the face on."""
-    return {
+    depths_m = {
         one.name: one.depth_m
         for one in network.nodes
         if one.depth_m is not None
     }
+    return dict(sorted(depths_m.items(), key=lambda one: one[1]))
+
+
+def _known_lining(network: Network) -> dict[str, float]:
+    lining = lining_of(network)
+    if len(lining) < 2:
+        msg = (
+            f"[signals] depth_m: pad.model gives {len(lining)} of its nodes a "
+            "depth_m; two or more are needed"
+        )
+        raise ConfigError([msg])
+    return lining
 
 
 def thermocouples_of(

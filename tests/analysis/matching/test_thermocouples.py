@@ -76,11 +76,23 @@ def test_the_node_that_is_forced_is_the_nearest() -> None:
     assert node_at("pad_front", {}, LINING) == "pad_front"
 
 
-def test_a_pad_model_without_depths_is_told() -> None:
-    shallow = replace(LINING, nodes=LINING.nodes[:1])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_pad_model_with_too_few_depths_is_told(count: int) -> None:
+    """LINING's first node is a disc, which has none."""
+    shallow = replace(LINING, nodes=LINING.nodes[:count])
+    place = InPad(0.002)
+    words = rf"depth_m: pad\.model gives {count - 1} of its nodes a depth_m"
 
-    with pytest.raises(ConfigError, match=r"depth_m: this pad\.model gives"):
-        node_at("pad_front", {"pad_front": InPad(0.002)}, shallow)
+    with pytest.raises(ConfigError, match=words):
+        node_at("pad_front", {"pad_front": place}, shallow)
+    with pytest.raises(ConfigError, match=words):
+        place.shares(shallow)
+
+
+def test_a_lining_is_in_order_whatever_its_nodes_are() -> None:
+    turned = replace(LINING, nodes=LINING.nodes[::-1])
+
+    assert list(lining_of(turned)) == [one.name for one in LINING.nodes[1:]]
 
 
 def test_excess_in_a_disc_is_that_of_a_plate() -> None:
