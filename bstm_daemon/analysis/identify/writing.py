@@ -82,6 +82,9 @@ class Entries:
     priors: Sequence[PriorsConfig] = ()
 
 
+DEVIATION: Final = ", sd "
+"""Before the standard deviation in a note."""
+
 NO_ENTRIES: Final = Entries()
 
 
@@ -335,13 +338,15 @@ def _set(table: Any, key: str, change: Change, origin: str) -> None:
         was = " ".join(str(known).split())
     table[key] = change.rounded()
     line = table if inline else table[key]
-    before = f"{origin}; was "
-    if was and said.startswith(before):
+    of, _, deviation = origin.partition(DEVIATION)
+    first, _, rest = said.partition("; was ")
+    if inline and rest and first.partition(DEVIATION)[0] == of:
         # another value of the same line
-        others, bracket, older = said.removeprefix(before).partition(" (")
-        line.comment(f"{before}{others}, {was}{bracket}{older}")
+        others, bracket, older = rest.partition(" (")
+        sizes = f"{first}, {deviation}" if deviation else first
+        line.comment(f"{sizes}; was {others}, {was}{bracket}{older}")
         return
-    words = f"{before}{was}" if was else origin
+    words = f"{origin}; was {was}" if was else origin
     line.comment(f"{words} ({said})" if said else words)
 
 

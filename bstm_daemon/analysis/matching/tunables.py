@@ -95,6 +95,7 @@ have differs tenfold."""
 BRACKET_LOSS: Final = f"{EFFECT}.bracket_conduction.loss_w_k"
 AIR_AT_REST: Final = f"{EFFECT}.local_air.parked_w_k"
 IN_BORE: Final = f"{EFFECT}.caliper_fluid_split.fluid_capacity_j_k"
+TO_CALIPER: Final = f"{EFFECT}.caliper_fluid_split.coupling_w_k"
 
 MADE_IN_PADS: Final = (0.5, 0.8)
 """Largest share of the friction heat that the pads' side of the contact makes,
@@ -209,6 +210,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable(BRACKET_LOSS, 0.05, 10.0, 0.7, "W/K"),
         # from fluid alone to steel pistons with the walls of their bores
         Tunable(IN_BORE, 20.0, 2000.0, 0.7, "J/K"),
+        # a bore that its piston all but fills, or a film on a bare one
+        Tunable(TO_CALIPER, 2.0, 500.0, 0.7, "W/K"),
     )
 }
 """Every tunable by its key."""

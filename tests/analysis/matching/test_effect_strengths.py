@@ -23,6 +23,7 @@ from bstm_daemon.analysis.matching.tunables import (
     IN_BORE,
     REFINED,
     STRENGTHS,
+    TO_CALIPER,
     TUNABLES,
     WIND,
     Target,
@@ -49,7 +50,8 @@ EXAMPLE = ROOT / "config" / "example_vehicle.toml"
 GAP = strength_key("gap_conduction")
 BRACKET = strength_key("bracket_conduction")
 RIGHT = {GAP: 1.8, BRACKET: 0.5, IN_BORE: 800.0}
-SLOW_FLUID = {strength_key("caliper_fluid_split"): 3.0}
+SPLIT = strength_key("caliper_fluid_split")
+SLOW_FLUID = {SPLIT: 3.0, TO_CALIPER: 20.0}
 
 ENTRIES = """
 # measured by hand
@@ -102,6 +104,11 @@ def test_the_strength_of_an_effect_is_found(match: Match) -> None:
         assert found == pytest.approx(right, rel=0.1), key
         deviation = match.joint.standard_deviation(key)
         assert abs(found - right) < 4.0 * deviation + 0.02 * right
+    # what divides the resistance from the shim on shows little
+    values = match.joint.values
+    assert values[TO_CALIPER] / values[SPLIT] == pytest.approx(
+        20.0 / 3.0, rel=0.2
+    )
 
 
 @pytest.mark.slow
@@ -120,6 +127,7 @@ def test_strengths_of_what_the_structure_has_are_refined(
         AIR_AT_REST,
         BRACKET_LOSS,
         IN_BORE,
+        TO_CALIPER,
         WIND,
         *map(strength_key, STRENGTHS),
     }
@@ -274,6 +282,19 @@ def test_values_of_one_line_are_told_in_its_one_comment(
     write_changed(source, tmp_path / "new.toml", changes, "fitted")
 
     assert "# fitted; was 0.5, typical (matched (typical))" in (
+        tmp_path / "new.toml"
+    ).read_text("utf-8")
+
+
+def test_each_value_of_a_line_tells_its_deviation(tmp_path: Path) -> None:
+    changes = [
+        Change("effect", key, 2.0, "FL", f"matched, sd {sd}", "disc_hat")
+        for key, sd in {"strength": 0.1, "conductance_w_k": 0.3}.items()
+    ]
+
+    write_changed(EXAMPLE, tmp_path / "new.toml", changes, "matched")
+
+    assert "# matched, sd 0.1, 0.3; was typical, typical\n" in (
         tmp_path / "new.toml"
     ).read_text("utf-8")
 
