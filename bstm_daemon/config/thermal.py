@@ -30,7 +30,7 @@ class ThermalConfig(Section):
     """
 
     structure: Literal["thesis", "extended"] = "thesis"
-    """effects of the base model: none, or the ten of
+    """effects of the base model: none, or the eleven of
     [model.md](model.md#structures) and the backplates' mass"""
     disc_mass_correction_factor: Positive = 1.0
     """on the disc's mass (Table 4.1)"""

@@ -298,6 +298,7 @@ ROAD_EFFECTS: Final = (
     "bracket_conduction",
     "disc_caliper_radiation",
     "caliper_fluid_split",
+    "contact_conductance",
 )
 """Effects of the preset ``road``: those a usual brake plainly has."""
 

@@ -307,6 +307,6 @@ def test_summary_names_structure_and_effects() -> None:
 
     assert "effects  structure thesis\n" in summary(config, path)
     assert (
-        "effects  structure extended (10 effects), "
+        "effects  structure extended (11 effects), "
         "wet_disc (all, strength 0.5)\n"
     ) in summary(edited, path)

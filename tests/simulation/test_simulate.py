@@ -180,6 +180,7 @@ def test_road_has_exactly_the_effects_of_the_extended_structure() -> None:
         "disc_hat",
         "bracket_conduction",
         "disc_caliper_radiation",
+        "contact_conductance",
         "caliper_fluid_split",
     }
     assert {getattr(road, name) for name in on} == {1.0}

@@ -20,9 +20,6 @@ from bstm_daemon.model.effects.catalogue import effects_of
 FIRST_W_M2K: Final = 500.0
 """Conductance that the fit begins from, at 1 MPa."""
 
-LINING: Final = ("pad.conductivity_w_mk", "pad.heat_capacity_j_kgk")
-"""Refined beside it: together they say how deep the heat goes."""
-
 KEPT: Final = 0.9
 """An addition stays where it leaves so much less of the error."""
 
@@ -52,7 +49,7 @@ def with_contact(target: Target, drives: Sequence[Drive]) -> Target | None:
     config = target.config.model_copy(
         update={"effect": [*target.config.effect, effect]}
     )
-    return replace(target, config=config, free=LINING)
+    return replace(target, config=config)
 
 
 def has_grown(before_k: float, after_k: float, noise_k: float = 0.0) -> bool:

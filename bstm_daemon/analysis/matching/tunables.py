@@ -97,6 +97,10 @@ AIR_AT_REST: Final = f"{EFFECT}.local_air.parked_w_k"
 IN_BORE: Final = f"{EFFECT}.caliper_fluid_split.fluid_capacity_j_k"
 TO_CALIPER: Final = f"{EFFECT}.caliper_fluid_split.coupling_w_k"
 
+LINING: Final = ("pad.conductivity_w_mk", "pad.heat_capacity_j_kgk")
+"""Refined beside a contact that conducts: together they say how deep the heat
+goes."""
+
 MADE_IN_PADS: Final = (0.5, 0.8)
 """Largest share of the friction heat that the pads' side of the contact makes,
 and the prior of the factor that sets it, where the contact conducts: Eq 2.3
@@ -259,16 +263,14 @@ class Target:
     """Corners that are matched together: alike in everything but the side.
 
     Their configuration is that of ``corner``, the first of them; ``guessed``
-    are the tunables whose values in it nobody has measured, ``free`` those
-    that are refined beside the usual ones; ``linings`` are the corners with
-    linings like theirs, themselves if it is empty; ``alike`` are corners like
-    them without a thermocouple.
+    are the tunables whose values in it nobody has measured; ``linings`` are
+    the corners with linings like theirs, themselves if it is empty; ``alike``
+    are corners like them without a thermocouple.
     """
 
     config: Config
     corners: tuple[str, ...]
     guessed: frozenset[str] = frozenset()
-    free: tuple[str, ...] = ()
     linings: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
 
@@ -437,7 +439,8 @@ def refined_keys(target: Target) -> tuple[str, ...]:
     )
     thermal = target.config.thermal_of(target.corner)
     wind = (WIND,) if thermal.structure == "extended" else ()
-    return (*REFINED, *wind, *target.free, *strengths)
+    contact = target.value(TUNABLES[CONDUCTANCE]) > 0.0
+    return (*REFINED, *wind, *(LINING if contact else ()), *strengths)
 
 
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:

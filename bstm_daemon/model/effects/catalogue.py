@@ -20,7 +20,7 @@ STRUCTURES: Final[dict[str, tuple[str, ...]]] = {
         *("friction_fade", "friction_speed", "friction_pressure"),
         *("gap_conduction", "disc_radiation_driving", "local_air"),
         *("disc_hat", "bracket_conduction", "disc_caliper_radiation"),
-        "caliper_fluid_split",
+        *("caliper_fluid_split", "contact_conductance"),
     ),
 }
 """The effects of each ``[thermal] structure``, at strength 1 all round."""

@@ -20,7 +20,9 @@ from bstm_daemon.analysis.matching.targets import targets_of
 from bstm_daemon.analysis.matching.tunables import (
     AIR_AT_REST,
     BRACKET_LOSS,
+    CONDUCTANCE,
     IN_BORE,
+    LINING,
     REFINED,
     STRENGTHS,
     TO_CALIPER,
@@ -126,7 +128,9 @@ def test_strengths_of_what_the_structure_has_are_refined(
     assert set(refined_keys(extended)) - set(REFINED) == {
         AIR_AT_REST,
         BRACKET_LOSS,
+        CONDUCTANCE,
         IN_BORE,
+        *LINING,
         TO_CALIPER,
         WIND,
         *map(strength_key, STRENGTHS),

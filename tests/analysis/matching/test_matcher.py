@@ -10,10 +10,16 @@ import pytest
 from bstm_daemon.analysis.matching import matcher, workflow
 from bstm_daemon.analysis.matching.structure import (
     FIRST_W_M2K,
-    LINING,
     with_contact,
 )
-from bstm_daemon.analysis.matching.tunables import CONTACT, DRAG, MASS
+from bstm_daemon.analysis.matching.tunables import (
+    CONDUCTANCE,
+    CONTACT,
+    DRAG,
+    LINING,
+    MASS,
+    refined_keys,
+)
 
 from ...made_matches import match_of  # noqa: TID252  (tests are no package)
 
@@ -38,7 +44,10 @@ def test_contact_is_tried_beside_what_the_car_has(
     trial = with_contact(target, [drive])
 
     assert trial is not None
-    assert trial.free == LINING
+    assert {*LINING} == {*refined_keys(trial)} - {
+        *refined_keys(target),
+        CONDUCTANCE,
+    }
     assert trial.config.effect[:-1] == fade
     added = trial.config.effect[-1]
     assert (added.name, added.parameters) == (
@@ -80,7 +89,7 @@ def test_contact_is_kept_where_it_leaves_less(
             )
             plain.drives.extend(drives)  # type: ignore[attr-defined]
             return [plain]
-        assert one.free == LINING
+        assert {*LINING} < {*refined_keys(one)}
         assert not beside
         return [match_of(one, {MASS: 1.3}, rms_k={"disc": more_k})]
 

@@ -127,8 +127,9 @@ def test_extended_is_near_the_road_and_thesis_the_plain(
 ) -> None:
     """Known heat, typical strengths, nothing matched on this car.
 
-    SimAlp: the structure that has the reality's effects is at least 2.5
-    times nearer at every node; on the preset without effects the thesis's.
+    SimAlp: the structure that has the reality's effects is at least 1.8
+    times nearer at every node (contact grows with pressure in another form);
+    on the preset without effects the thesis's is 2.5 times nearer.
     """
     found = {}
     for preset in ("plain", "road"):
@@ -139,7 +140,7 @@ def test_extended_is_near_the_road_and_thesis_the_plain(
             )
     for node in NODES:
         near = {key: by_node[node] for key, by_node in found.items()}
-        assert near["road", "thesis"] > 2.5 * near["road", "extended"], node
+        assert near["road", "thesis"] > 1.8 * near["road", "extended"], node
         assert near["plain", "extended"] > 2.5 * near["plain", "thesis"], node
     assert found["road", "extended"]["fluid"] < 8.0
     assert found["road", "extended"]["disc"] < 15.0
