@@ -136,7 +136,7 @@ def test_whatever_is_killed_the_lake_is_the_same(
     make_fleet: Callable[..., Any], processes: Processes
 ) -> None:
     """And no drive that was finished is replayed again."""
-    fleet = make_fleet(4, range(10))
+    fleet = make_fleet(4, range(5))
     fleet.plan()
     for car in range(4):
         fleet.replay(f"car{car}")
@@ -150,7 +150,7 @@ def test_whatever_is_killed_the_lake_is_the_same(
         processes.keep_up()
         client = processes.replay(lake)
         # at a random number of finished drives, at any moment of the next
-        count = chance.randrange(36)
+        count = chance.randrange(16)
         wait_for(lambda count=count: len(receipts(lake)) >= count)
         time.sleep(chance.uniform(0.0, 0.1))
         kill(

@@ -53,7 +53,14 @@ def test_is_as_stored(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize(
+    "name",
+    # the longest is left to .ci/full
+    [
+        pytest.param(one, marks=pytest.mark.full if one == "descent" else ())
+        for one in RECORDINGS
+    ],
+)
 def test_both_forms_agree_to_the_bit(
     name: str,
     compiled: Kernel,
