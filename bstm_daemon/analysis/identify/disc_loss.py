@@ -95,20 +95,18 @@ def disc_loss(config: Config, corner_name: str) -> DiscLoss | None:
     corner = next((c for c in config.corner if c.name == corner_name), None)
     if corner is None or corner.disc is None or corner.pad is None:
         return None
-    disc, pad = corner.disc, corner.pad
-    thermal, cooling = config.thermal_of(corner), config.cooling_of(corner)
-    pads_m2 = brake_corner.PADS * pad.area_m2
+    spec = brake_corner.corner_spec(config, corner)
+    thermal, cooling = spec.thermal, spec.cooling
     eps_d, eps_p = thermal.disc_emissivity, thermal.pad_emissivity
     effective = 1.0 / (1.0 / eps_d + 1.0 / eps_p - 1.0)
     if thermal.disc_pad_radiation == "product":
         effective = eps_d * eps_p
-    free_m2 = max(disc.total_area_m2 - pads_m2, 0.0)
     return DiscLoss(
-        properties.disc_heat_capacity(disc),
-        disc.mass_kg * thermal.disc_mass_correction_factor,
+        properties.disc_heat_capacity(spec.disc),
+        spec.disc_mass_kg,
         cooling.form == "rate",
-        STEFAN_BOLTZMANN_W_M2K4 * eps_d * free_m2,
-        STEFAN_BOLTZMANN_W_M2K4 * effective * pads_m2,
+        STEFAN_BOLTZMANN_W_M2K4 * eps_d * spec.disc_radiating_m2,
+        STEFAN_BOLTZMANN_W_M2K4 * effective * spec.pads_area_m2,
         cooling.blend_end_ms,
         cooling.standstill_convection_fraction,
         tuple(cooling.speed_ms),

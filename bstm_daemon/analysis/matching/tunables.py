@@ -51,6 +51,7 @@ DRAG: Final = "vehicle.drag_area_m2"
 MASS: Final = "thermal.disc_mass_correction_factor"
 PARTITION: Final = "thermal.heat_partition_correction_factor"
 WIND: Final = "thermal.fluid_dynamic_convection_exponent"
+VIEW: Final = "thermal.disc_view_factor"
 STILL: Final = "cooling.standstill_convection_fraction"
 
 SIDES: Final = {
@@ -155,6 +156,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable(MASS, 0.7, 1.5, 0.08, "-", True),
         Tunable(PARTITION, 0.3, 3, 0.15, "-", True),
         Tunable("thermal.disc_emissivity", 0.15, 1.0, 0.2, "-", True),
+        # vents see themselves, faces the rim; fins and edges add to the area
+        Tunable(VIEW, 0.1, 1.5, 0.4, "-"),
         Tunable("thermal.pad_emissivity", 0.5, 1.0, 0.15, "-", True),
         Tunable(
             "thermal.pad_backplate_thermal_resistance_m2k_w",
@@ -427,7 +430,8 @@ def refined_keys(target: Target) -> tuple[str, ...]:
 
     :data:`REFINED`, and the strengths of the thermal effects that its
     structure and its ``[[effect]]`` entries have; of ``extended`` also the
-    power of the wind at the caliper. Effects on heat act before the model, in
+    power of the wind at the caliper, and the disc's view factor, as its
+    emissivity shows at the pads too. Effects on heat act before the model, in
     the pass over samples: of them :data:`FADE` is refined where the drives
     were read for it.
     """
@@ -438,9 +442,9 @@ def refined_keys(target: Target) -> tuple[str, ...]:
         if key.startswith(prefix) and key != FADE and target.value(one) > 0.0
     )
     thermal = target.config.thermal_of(target.corner)
-    wind = (WIND,) if thermal.structure == "extended" else ()
+    free = (WIND, VIEW) if thermal.structure == "extended" else ()
     contact = target.value(TUNABLES[CONDUCTANCE]) > 0.0
-    return (*REFINED, *wind, *(LINING if contact else ()), *strengths)
+    return (*REFINED, *free, *(LINING if contact else ()), *strengths)
 
 
 def usable(target: Target, keys: Sequence[str]) -> tuple[list[str], list[str]]:

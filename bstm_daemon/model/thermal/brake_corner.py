@@ -81,6 +81,12 @@ class CornerSpec:
         return PADS * self.pad.area_m2
 
     @property
+    def disc_radiating_m2(self) -> float:
+        """Area of the disc that radiates to the surroundings."""
+        free_m2 = max(self.disc.total_area_m2 - self.pads_area_m2, 0.0)
+        return self.thermal.disc_view_factor * free_m2
+
+    @property
     def disc_mass_kg(self) -> float:
         """Disc mass with its correction factor."""
         return self.disc.mass_kg * self.thermal.disc_mass_correction_factor
@@ -211,7 +217,6 @@ def lumped_disc(net: Network, spec: CornerSpec) -> Network:
         convection.append(value("disc", capacity))
     else:
         conductance *= capacity(REFERENCE_K)
-    free_area = spec.disc.total_area_m2 - spec.pads_area_m2
     return net.with_node(Node("disc", spec.disc_mass_kg, capacity)).with_link(
         Link(
             "disc_convection", "disc", "ambient", conductance, (*convection,)
@@ -222,7 +227,7 @@ def lumped_disc(net: Network, spec: CornerSpec) -> Network:
             "ambient",
             STEFAN_BOLTZMANN_W_M2K4
             * spec.thermal.disc_emissivity
-            * max(free_area, 0.0),
+            * spec.disc_radiating_m2,
             (radiation("disc", "ambient"), value("speed_ms", radiating)),
         ),
     )

@@ -27,6 +27,7 @@ from bstm_daemon.analysis.matching.tunables import (
     STRENGTHS,
     TO_CALIPER,
     TUNABLES,
+    VIEW,
     WIND,
     Target,
     refined_keys,
@@ -132,6 +133,7 @@ def test_strengths_of_what_the_structure_has_are_refined(
         IN_BORE,
         *LINING,
         TO_CALIPER,
+        VIEW,
         WIND,
         *map(strength_key, STRENGTHS),
     }

@@ -32,7 +32,6 @@ class DiscRadiationDriving(Effect):
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to ambient where the base model has none."""
         spec = model.spec
-        free_m2 = max(spec.disc.total_area_m2 - spec.pads_area_m2, 0.0)
         driving = Table(0.0, spec.cooling.blend_end_ms, (0.0, 1.0))
         link = Link(
             "disc_radiation_driving",
@@ -41,7 +40,7 @@ class DiscRadiationDriving(Effect):
             self.scaled("view_share")
             * STEFAN_BOLTZMANN_W_M2K4
             * spec.thermal.disc_emissivity
-            * free_m2,
+            * spec.disc_radiating_m2,
             (radiation("disc", "ambient"), value("speed_ms", driving)),
         )
         return model.network.with_link(link)
