@@ -37,7 +37,7 @@ class ThermalConfig(Section):
     heat_partition_correction_factor: NotNegative = 1.0
     """gamma, on the pads' share of the heat (Table 4.1)"""
     disc_view_factor: Positive = 1.0
-    """on the disc's area that radiates"""
+    """share of the disc's free area that sees cold surroundings"""
     disc_emissivity: Emissivity = 0.55
     """Table 4.1"""
     pad_emissivity: Emissivity = 0.85

@@ -431,9 +431,9 @@ def refined_keys(target: Target) -> tuple[str, ...]:
     :data:`REFINED`, and the strengths of the thermal effects that its
     structure and its ``[[effect]]`` entries have; of ``extended`` also the
     power of the wind at the caliper, and the disc's view factor, as its
-    emissivity shows at the pads too. Effects on heat act before the model, in
-    the pass over samples: of them :data:`FADE` is refined where the drives
-    were read for it.
+    emissivity shows at the pads too; with a contact :data:`LINING`. Effects
+    on heat act before the model, in the pass over samples: of them
+    :data:`FADE` is refined where the drives were read for it.
     """
     prefix = f"{EFFECT}."
     strengths = (

@@ -260,6 +260,11 @@ def test_radiation_is_taken_off_at_standstill(example: Example) -> None:
     """Marched with the estimator's own terms, the convection comes back."""
     loss = disc_loss(example[0], "FL")
     assert loss is not None
+    thermal = example[0].thermal.model_copy(update={"disc_view_factor": 0.5})
+    half = disc_loss(example[0].model_copy(update={"thermal": thermal}), "FL")
+    assert half is not None
+    assert half.radiation_w_k4 == pytest.approx(0.5 * loss.radiation_w_k4)
+    assert half.pads_w_k4 == loss.pads_w_k4
     now, disc = 850.0, []
     convection = 1.5e-4
     for _ in range(3000):

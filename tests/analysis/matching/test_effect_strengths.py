@@ -305,6 +305,24 @@ def test_each_value_of_a_line_tells_its_deviation(tmp_path: Path) -> None:
     ).read_text("utf-8")
 
 
+def test_a_value_that_is_matched_again_keeps_its_history(
+    tmp_path: Path,
+) -> None:
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    for source, target, value, sd in (
+        (EXAMPLE, first, 0.7, 0.1),
+        (first, second, 0.8, 0.2),
+    ):
+        note = f"matched, sd {sd}"
+        change = Change("thermal", "disc_view_factor", value, "", note)
+        write_changed(source, target, [change], "matched")
+
+    assert (
+        "disc_view_factor = 0.8 "
+        "# matched, sd 0.2; was 0.7 (matched, sd 0.1; was 1.0)\n"
+    ) in second.read_text("utf-8")
+
+
 @pytest.mark.parametrize("name", sorted(STRENGTHS))
 def test_bounds_are_within_the_catalogue(name: str) -> None:
     one = TUNABLES[strength_key(name)]

@@ -150,17 +150,19 @@ def test_disc_radiates_by_stefan_and_boltzmann(corner: Make) -> None:
 
 
 def test_disc_radiates_from_what_sees_the_surroundings(corner: Make) -> None:
-    """Parked and driving alike."""
-    for link, speed in (
-        ("disc_radiation", 0.0),
-        ("disc_radiation_driving", 20.0),
+    """Parked and driving alike; the effect's strength is of driving."""
+    for link, speed, strength in (
+        ("disc_radiation", 0.0, 1.0),
+        ("disc_radiation_driving", 20.0, 0.5),
     ):
         there = corner(
-            "disc_radiation_driving", thermal={"disc_view_factor": 0.6}
+            "disc_radiation_driving",
+            strength=0.5,
+            thermal={"disc_view_factor": 0.6},
         ).warm(disc=900.0)
         found = flow_w(there, link, speed_ms=speed)
         grey = STEFAN_BOLTZMANN_W_M2K4 * 0.55 * 0.6 * FREE_M2
-        exact = grey * (900.0**4 - AMBIENT_K**4)
+        exact = strength * grey * (900.0**4 - AMBIENT_K**4)
         assert found == pytest.approx(exact, rel=5e-3)
 
 

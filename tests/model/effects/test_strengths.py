@@ -36,7 +36,6 @@ PROPORTIONAL = {
     "disc_caliper_radiation": ("view_m2",),
     "disc_capacity_hot": ("peak_j_kgk",),
     "disc_hat": ("conductance_w_k",),
-    "disc_radiation_driving": ("view_share",),
     "disc_wear": ("lost_share",),
     "engine_heat": ("caliper_w",),
     "fluid_exchange": ("line_w_k", "pumping_w_k"),
@@ -85,7 +84,7 @@ OF_INPUTS = {
     "clock_offset": ("offset_s", "drift_s_h"),
 }
 
-WITHOUT = {"brake_without_pressure"}
+WITHOUT = {"brake_without_pressure", "disc_radiation_driving"}
 """The strength is all it has."""
 
 

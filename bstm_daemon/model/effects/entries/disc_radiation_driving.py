@@ -1,7 +1,7 @@
 """Effect 11: the disc radiates also while driving."""
 
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.network import Link, Network, radiation, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.units import STEFAN_BOLTZMANN_W_M2K4
@@ -18,16 +18,6 @@ class DiscRadiationDriving(Effect):
     description = "A hot disc also radiates while the car drives."
     signature = "Disc, driving, with T^4 and not with speed."
     twins = ("convection_exponent",)
-    own_parameters = (
-        Parameter(
-            "view_share",
-            "1",
-            0.05,
-            1.0,
-            1.0,
-            "of the free area that sees cold surroundings and not the rim",
-        ),
-    )
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to ambient where the base model has none."""
@@ -37,7 +27,7 @@ class DiscRadiationDriving(Effect):
             "disc_radiation_driving",
             "disc",
             "ambient",
-            self.scaled("view_share")
+            self.strength
             * STEFAN_BOLTZMANN_W_M2K4
             * spec.thermal.disc_emissivity
             * spec.disc_radiating_m2,
