@@ -22,6 +22,11 @@ at 12 W/m2K of free convection and radiation (Incropera, Fundamentals of Heat
 and Mass Transfer). Table 4.1's value is that of all ways out of the lump; the
 structure "extended" has the bracket's and the disc's apart."""
 
+SHIELDED_DISC: Final = 0.6
+"""Of a disc in its place: a sheet before a face halves what it radiates
+(Incropera, radiation shields), as the splash shield and the wheel do; edge and
+part of the hat see the surroundings."""
+
 
 class ThermalConfig(Section):
     """``[thermal]``: Table 4.1 and the switches between forms of an equation.
@@ -37,7 +42,8 @@ class ThermalConfig(Section):
     heat_partition_correction_factor: NotNegative = 1.0
     """gamma, on the pads' share of the heat (Table 4.1)"""
     disc_view_factor: Positive = 1.0
-    """share of the disc's free area that sees cold surroundings"""
+    """share of the disc's free area that sees cold surroundings; 0.6 with
+    `extended`"""
     disc_emissivity: Emissivity = 0.55
     """Table 4.1"""
     pad_emissivity: Emissivity = 0.85
@@ -83,10 +89,13 @@ class ThermalConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _own_surface(cls, given: Any) -> Any:
-        """Take the caliper's own surface where its other paths are apart."""
+    def _surroundings(cls, given: Any) -> Any:
+        """Take the surfaces' own losses where other paths are apart."""
         if isinstance(given, dict) and given.get("structure") == "extended":
-            return {"fluid_static_convection_w_k": SURFACE_AT_REST_W_K} | given
+            return {
+                "fluid_static_convection_w_k": SURFACE_AT_REST_W_K,
+                "disc_view_factor": SHIELDED_DISC,
+            } | given
         return given
 
 

@@ -338,12 +338,20 @@ def test_corner_overrides_single_keys() -> None:
     assert whole.disc_corners() == [front]
 
 
-def test_a_caliper_with_other_paths_has_its_own_surface_alone() -> None:
+@pytest.mark.parametrize(
+    ("key", "whole_loss", "own"),
+    [
+        ("fluid_static_convection_w_k", 1.5, 0.6),
+        ("disc_view_factor", 1.0, 0.6),
+    ],
+)
+def test_with_other_paths_a_surface_has_its_own_loss_alone(
+    key: str, whole_loss: float, own: float
+) -> None:
     """Of a corner as of the car; a value that is given stays."""
-    key = "fluid_static_convection_w_k"
-    assert getattr(ThermalConfig(), key) == 1.5
+    assert getattr(ThermalConfig(), key) == whole_loss
     apart = ThermalConfig(structure="extended")
-    assert getattr(apart, key) == 0.6
+    assert getattr(apart, key) == own
     given = ThermalConfig(structure="extended", **{key: 0.9})
     assert getattr(given, key) == 0.9
     plain = config.Config.model_validate(
@@ -355,8 +363,8 @@ def test_a_caliper_with_other_paths_has_its_own_surface_alone() -> None:
             "heat": {"mode": "ff"},
         }
     )
-    assert getattr(plain.thermal, key) == 1.5
-    assert getattr(plain.thermal_of(plain.corner[0]), key) == 0.6
+    assert getattr(plain.thermal, key) == whole_loss
+    assert getattr(plain.thermal_of(plain.corner[0]), key) == own
 
 
 def test_a_piston_is_given_by_its_area_or_its_diameter() -> None:

@@ -156,8 +156,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable(MASS, 0.7, 1.5, 0.08, "-", True),
         Tunable(PARTITION, 0.3, 3, 0.15, "-", True),
         Tunable("thermal.disc_emissivity", 0.15, 1.0, 0.2, "-", True),
-        # vents see themselves, faces the rim; fins and edges add to the area
-        Tunable(VIEW, 0.1, 1.5, 0.4, "-"),
+        # a shield hides one face, a wheel the other; fins add to the area
+        Tunable(VIEW, 0.1, 1.5, 0.2, "-"),
         Tunable("thermal.pad_emissivity", 0.5, 1.0, 0.15, "-", True),
         Tunable(
             "thermal.pad_backplate_thermal_resistance_m2k_w",
