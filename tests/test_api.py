@@ -93,6 +93,7 @@ def test_names_of_the_package() -> None:
         bstm_daemon.replya  # noqa: B018
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_before_it_is_used() -> None:
     """``replay`` is a room as well: both of its callables are one."""
     code = (

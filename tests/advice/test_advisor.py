@@ -136,6 +136,7 @@ def test_hot_brakes_alarm_though_the_start_is_unknown() -> None:
     assert found[-1]["Message"] == "wait_before_departure"
 
 
+@pytest.mark.slow
 def test_a_descent_asks_for_a_lower_gear() -> None:
     """The example car has a manual gearbox; 36 km/h and 10 bar held."""
     found = values(run(engine(), drive(0.0, 60.0, 36.0, 10.0)), "BSTM_Advice")

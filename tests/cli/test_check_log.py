@@ -232,6 +232,7 @@ def test_frames_of_the_daemon_in_the_log(
     assert "these are frames of this daemon" in out
 
 
+@pytest.mark.slow
 def test_report(log: Path, turned: Path, tmp_path: Path) -> None:
     """The page is whole, needs no network and escapes every name."""
     text = turned.read_text(encoding="utf-8")

@@ -109,6 +109,7 @@ def test_coast_down(
     assert written.mass_kg == 2194.0
 
 
+@pytest.mark.slow
 def test_brakes(
     logs: dict[str, Path],
     tmp_path: Path,
@@ -136,6 +137,7 @@ def test_brakes(
         assert corner.friction_coefficient == pytest.approx(0.38, abs=0.004)
 
 
+@pytest.mark.slow
 def test_cooling(
     logs: dict[str, Path],
     tmp_path: Path,

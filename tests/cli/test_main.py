@@ -180,6 +180,7 @@ def test_a_programming_error_is_not_hidden(failing: Failing) -> None:
         failing(ZeroDivisionError())
 
 
+@pytest.mark.slow
 def test_closed_stdout() -> None:
     """A reader that leaves early gets silence and the code of SIGPIPE."""
     reader, writer = os.pipe()
@@ -329,6 +330,7 @@ def test_options_stand_anywhere_among_the_logs(argv: list[str]) -> None:
     assert args.config == Path("a.toml")
 
 
+@pytest.mark.slow
 def test_a_format_read_otherwise_costs_no_command_pandas() -> None:
     code = (
         "import sys\n"

@@ -659,6 +659,7 @@ def _fill(pipe: int, data: bytes) -> None:
         view = view[os.write(pipe, view) :]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe")
 def test_interrupted_while_it_writes(recorded: bytes, tmp_path: Path) -> None:
     """Ctrl-C in the middle of a file: 130, the old file stands, no other.
@@ -706,6 +707,7 @@ def test_interrupted_while_it_writes(recorded: bytes, tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} == {"pipe.log", "sent.log"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe")
 def test_interrupted_while_tables_grow(
     recorded: bytes, tmp_path: Path

@@ -50,6 +50,7 @@ def test_by_default_the_model_is_that_of_the_configured_linings() -> None:
     assert one["FL.disc_loss_m"][-1] > 5e-5
 
 
+@pytest.mark.slow
 def test_the_summary_says_by_how_much_wear_moved_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

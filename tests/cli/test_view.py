@@ -142,6 +142,7 @@ def test_a_log_at_a_hundred_times_in_the_browser(
     assert max(discs) > 20.0
 
 
+@pytest.mark.slow
 def test_the_feed_of_a_configuration(
     view: Callable[..., str], tmp_path: Path
 ) -> None:

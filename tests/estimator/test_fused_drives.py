@@ -266,6 +266,7 @@ def test_a_dead_pressure_is_named_and_the_motion_heats() -> None:
     assert dead.error == pytest.approx(0.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_braking_by_an_assistant_is_found() -> None:
     """No pressure tells of most of it (effect 39)."""
     found = estimate("assist")
@@ -283,6 +284,7 @@ def test_recovery_is_no_brake_heat() -> None:
     assert not recovered.has("braking_unpressed")
 
 
+@pytest.mark.slow
 def test_single_wheels_that_are_braked_have_a_wide_interval() -> None:
     """Stability and traction control without wheel pressures."""
     found = estimate("slippery")
@@ -293,6 +295,7 @@ def test_single_wheels_that_are_braked_have_a_wide_interval() -> None:
     assert abs(found.error) < 2.0 * found.spread.sum() / found.real.sum()
 
 
+@pytest.mark.slow
 def test_what_is_learned_goes_on_in_the_next_drive(rich: Drive) -> None:
     document = export_state(rich.estimator)
     begun = estimate("city", document=document)
@@ -328,6 +331,7 @@ def test_a_restart_takes_over_what_can_have_been_learned(
         assert learned[0] == learned[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["other car", "impossible", "incomplete"])
 def test_what_does_not_hold_is_not_taken_over(rich: Drive, fault: str) -> None:
     """Of a car configured otherwise, out of bounds, or cut short."""

@@ -83,6 +83,7 @@ def cars(make_car: Any, make_corner: Any) -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(
     which=st.integers(0, 2),
@@ -118,6 +119,7 @@ def test_every_start_stays_between_the_bounds(
         assert (true_k <= hot_k + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_a_start_is_known_from_the_row_on_at_which_the_bounds_agree(
     make_car: Any, compiled: Kernel
 ) -> None:
@@ -151,6 +153,7 @@ def test_a_start_is_known_from_the_row_on_at_which_the_bounds_agree(
     assert not whole.start.batches
 
 
+@pytest.mark.slow
 def test_a_restart_goes_on_with_the_same_bits(
     make_car: Any, compiled: Kernel
 ) -> None:

@@ -110,6 +110,7 @@ def states(estimator: Estimator, blocks: list[Any]) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(cut=st.integers(min_value=1, max_value=499))
 def test_a_restart_at_any_sample_changes_no_bit(
@@ -128,6 +129,7 @@ def test_a_restart_at_any_sample_changes_no_bit(
     assert export_state(second) == export_state(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("minutes", [0.5, 10.0, 45.0])
 def test_parking_is_standing_on_a_silent_bus(
     config: Config, minutes: float
@@ -355,6 +357,7 @@ def test_flags_of_more_than_64_bits_are_refused(config: Config) -> None:
         restore_state(estimator, document, resume=True)
 
 
+@pytest.mark.slow
 @given(
     document=st.recursive(
         st.none() | st.booleans() | st.floats() | st.text(max_size=8),

@@ -281,6 +281,7 @@ def test_tyres_limit_the_heat(config: Config) -> None:
     assert stored_j < seen_j + 9.80665 * MASS_KG * 20.0 * 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before_ms", "after_ms", "stop"),
     [
@@ -305,6 +306,7 @@ def test_a_car_that_stood_on_one_side_was_parked(
     assert drive.nodes_k()["disc"] < hot_k - 20.0
 
 
+@pytest.mark.slow
 def test_a_bus_that_falls_silent_at_speed(config: Config) -> None:
     """The car came to a stop unseen: as hot as if it still drove."""
     drives = [Drive(config), Drive(config)]
@@ -337,6 +339,7 @@ def test_a_car_that_stands_a_day_later_is_cold(config: Config) -> None:
         assert kelvin == pytest.approx(AIR_K, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "stop",
     [
@@ -373,6 +376,7 @@ def test_every_kind_of_hole(
     assert not drive.flags() & FLAGS["driven_unseen"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hours", [2.0, 24.0, 29.0 * 24.0])
 def test_a_clock_that_jumps_ahead_cools_nothing(
     config: Config, hours: float
@@ -402,6 +406,7 @@ def test_a_clock_set_back_within_a_hole(config: Config) -> None:
     assert drive.validity() == Validity.DEGRADED
 
 
+@pytest.mark.slow
 def test_within_an_hour_a_clock_is_believed(config: Config) -> None:
     """What was hot when the hole began has cooled in it."""
     drive = Drive(config).go(900.0).go(20.0, 20.0, 5e6)
@@ -419,6 +424,7 @@ def test_a_night_is_one(config: Config) -> None:
     assert drive.nodes_k()["disc"] < AIR_K + 10.0
 
 
+@pytest.mark.slow
 def test_long_holes_come_to_the_balance_of_the_load(config: Config) -> None:
     """A day that the clocks prove: as hot as by driving on for hours."""
     unseen = Drive(config).descend(900.0).restart(24 * HOUR_S).descend(0.02)
@@ -513,6 +519,7 @@ def test_the_history_has_all_that_had_a_speed(
     assert added == [(0, 2), (3, 5), (5, 6), (7, 8)]
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(parts=PARTS)
 def test_no_hole_is_colder_than_parking(
@@ -529,6 +536,7 @@ def test_no_hole_is_colder_than_parking(
     assert hotter(drive, parked, -1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(
     hole_s=st.integers(min_value=6, max_value=400),

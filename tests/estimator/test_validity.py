@@ -382,6 +382,7 @@ def test_heat_unknown_for_too_long_is_invalid_then_degraded(
     assert set(found["FR"][1:]) == {Validity.VALID}
 
 
+@pytest.mark.slow
 def test_an_outage_is_not_felt_beyond_the_settling(
     front: Callable[..., Config], compiled: Kernel
 ) -> None:
@@ -512,6 +513,7 @@ def test_thermocouples_of_a_logger_are_not_the_bus_of_the_car(
     assert cut["FL"][-1] == Validity.DEGRADED
 
 
+@pytest.mark.slow
 def test_air_that_nobody_measures_degrades_after_hours(
     front: Callable[..., Config], compiled: Kernel
 ) -> None:

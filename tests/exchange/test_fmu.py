@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 NODES = ("disc", "pad_front", "pad_back", "backplate", "fluid")
 STEPS = 1200
-# an FMU of its own takes seconds to compile
-VERSIONS = [2, pytest.param(3, marks=pytest.mark.slow)]
+VERSIONS = [2, 3]
 
 
 def marched(config: Config, rows: np.ndarray) -> np.ndarray:
@@ -82,6 +81,7 @@ def test_fmpy_finds_no_problem(
     assert validation.validate_fmu(str(fmu_file(name, fmi))) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", VERSIONS)
 @pytest.mark.parametrize(("seed", "hold"), [(1, 1), (2, 2), (3, 20)])
 def test_temperatures_of_a_corner_equal_those_of_python_bit_for_bit(
@@ -96,6 +96,7 @@ def test_temperatures_of_a_corner_equal_those_of_python_bit_for_bit(
     assert np.array_equal(found, expected)
 
 
+@pytest.mark.slow
 def test_inputs_are_those_that_the_network_uses(
     fmu_file: Callable[[str, int], Path],
 ) -> None:
@@ -108,6 +109,7 @@ def test_inputs_are_those_that_the_network_uses(
     assert inputs == ["speed_ms", "brake_on", "ambient_k", "brake_power_w"]
 
 
+@pytest.mark.slow
 def test_a_step_off_the_grid_keeps_the_grid_and_is_reported(
     opened: Any, config: Config
 ) -> None:
@@ -134,6 +136,7 @@ def test_a_step_off_the_grid_keeps_the_grid_and_is_reported(
     assert sum("no multiple" in text for text in slave.messages) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_a_saved_state_gives_the_same_bits_again(
     opened: Any, fmi: int
@@ -161,6 +164,7 @@ def test_a_saved_state_gives_the_same_bits_again(
     assert np.array_equal(once, third)
 
 
+@pytest.mark.slow
 def test_instances_are_independent(opened: Any) -> None:
     one, other, alone = opened("FL"), opened("FL"), opened("FL")
     first, second = drive(1, 100), drive(2, 100)
@@ -177,6 +181,7 @@ def test_instances_are_independent(opened: Any) -> None:
     assert one.get("disc_k") != other.get("disc_k")
 
 
+@pytest.mark.slow
 def test_a_tunable_does_what_the_configuration_does(
     opened: Any, config: Config
 ) -> None:
@@ -199,6 +204,7 @@ def test_a_tunable_does_what_the_configuration_does(
     assert np.abs(found - expected).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_tunables_have_unit_bounds_and_meaning(
     fmu_file: Callable[[str, int], Path],
 ) -> None:
@@ -226,6 +232,7 @@ def test_all_tunables_of_table_4_1_but_one_are_responses(
     assert len([k for k in keys if k.startswith("thermal.")]) >= 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [

@@ -106,6 +106,7 @@ def test_before_the_first_record_there_is_only_the_source() -> None:
     assert found["points"] == []
 
 
+@pytest.mark.slow
 def test_eight_hours_take_no_more_memory_than_one(record: Any) -> None:
     live = Live("")
 

@@ -335,6 +335,7 @@ def test_the_end_is_said_too(broker: Mosquitto, feed: Feed, run: Run) -> None:
     feed.end()  # for the fixture
 
 
+@pytest.mark.slow
 def test_messages_for_an_absent_broker_are_bounded_and_the_next_is_right(
     tmp_path: Path, feed: Feed, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -421,6 +422,7 @@ def retained_degc(broker: Mosquitto) -> float:
     return found
 
 
+@pytest.mark.slow
 def test_a_slow_broker_gets_everything(
     broker: Mosquitto, feed: Feed, run: Run
 ) -> None:
@@ -461,6 +463,7 @@ def test_the_newest_record_is_retained_though_one_overtook_another(
     assert retained_degc(broker) == 301.0
 
 
+@pytest.mark.slow
 def test_a_broker_that_refuses_is_asked_again_with_right_credentials(
     tmp_path: Path, feed: Feed, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -503,6 +506,7 @@ def test_a_broker_that_refuses_is_asked_again_with_right_credentials(
 
 
 # paho leaves the socket of a refused certificate to the garbage collection
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")
 def test_tls_needs_a_certificate_that_verifies(
@@ -633,6 +637,7 @@ def test_a_missing_certificate_is_said() -> None:
         new_client("mqtts://broker", MqttFile(ca_file="/missing.pem"))
 
 
+@pytest.mark.slow
 def test_the_command_publishes_a_feed_until_it_is_stopped(
     broker: Mosquitto,
     config: Config,

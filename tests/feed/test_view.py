@@ -296,6 +296,7 @@ FRESH = "!document.body.classList.contains('stale')"
 STALE = "document.body.classList.contains('stale')"
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_is_valid_and_hides_what_is_not(
     shown: Callable[..., Shown], estimate: Make
 ) -> None:
@@ -334,6 +335,7 @@ def test_the_page_shows_what_is_valid_and_hides_what_is_not(
     }
 
 
+@pytest.mark.slow
 def test_a_bound_is_called_one_while_the_start_is_unknown(
     shown: Callable[..., Shown], estimate: Make
 ) -> None:
@@ -375,6 +377,7 @@ def test_silence_is_stale_within_two_seconds(
     page.wait(FRESH)
 
 
+@pytest.mark.slow
 def test_a_page_opened_late_does_not_take_old_data_for_new(
     shown: Callable[..., Shown], estimate: Make
 ) -> None:
@@ -387,6 +390,7 @@ def test_a_page_opened_late_does_not_take_old_data_for_new(
     assert page.text("#notice").startswith("No data for 6")
 
 
+@pytest.mark.slow
 def test_names_stay_text(shown: Callable[..., Shown], estimate: Make) -> None:
     page = shown(HOSTILE)
     page.take(estimate(0))
@@ -397,6 +401,7 @@ def test_names_stay_text(shown: Callable[..., Shown], estimate: Make) -> None:
     assert page.wrong == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [400, 1400])
 def test_it_fits_and_follows_the_light(

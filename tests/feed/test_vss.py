@@ -98,6 +98,7 @@ def flattened(node: dict[str, Any], path: str, out: dict[str, Any]) -> None:
         flattened(child, f"{path}.{name}", out)
 
 
+@pytest.mark.slow
 def test_the_overlay_fits_the_released_specification(
     values: dict[str, dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ def columns_of(path: Path) -> dict[str, Any]:
     return {n: table[n].to_numpy() for n in table.column_names}
 
 
+@pytest.mark.slow
 def test_a_chain_equals_the_chain_by_hand(
     make_fleet: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -388,6 +388,7 @@ def prior_of(values: Sequence[float], sds: Sequence[float], key: str) -> tuple:
     return type_prior(np.log(values), np.array(sds), TUNABLES[key].prior)
 
 
+@pytest.mark.slow
 def test_the_next_car_begins_with_what_its_type_has(tmp_path: Path) -> None:
     masses, slow = (1.02, 1.05, 0.99, 1.03, 1.01), (2e-3, 2.2e-3, 2.1e-3)
     slow = (*slow, 1.9e-3, 2.05e-3)
@@ -419,6 +420,7 @@ def test_the_next_car_begins_with_what_its_type_has(tmp_path: Path) -> None:
     assert target.tunable(EMISSIVITY) == TUNABLES[EMISSIVITY]
 
 
+@pytest.mark.slow
 def test_a_value_that_was_edited_has_the_usual_prior(tmp_path: Path) -> None:
     cars = [
         matched(tmp_path, f"car{i}", 1.0 + 0.01 * i, 2e-3) for i in range(5)

@@ -107,6 +107,7 @@ def written(fleet: Any) -> dict[str, int]:
     }
 
 
+@pytest.mark.slow
 def test_a_run_equals_its_drives_one_by_one(
     make_fleet: Callable[..., Any], client: Any, tmp_path: Any
 ) -> None:
@@ -127,6 +128,7 @@ def test_a_run_equals_its_drives_one_by_one(
     assert counts(look(fleet)) == (0, 6, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_late_log_makes_anew_what_follows_it(
     make_fleet: Callable[..., Any], client: Any
 ) -> None:
@@ -162,6 +164,7 @@ def test_a_corrupt_log_costs_only_itself(
     assert look(fleet).failures == outcome.failures
 
 
+@pytest.mark.slow
 def test_on_error_hold_keeps_what_follows_waiting(
     make_fleet: Callable[..., Any], client: Any
 ) -> None:
@@ -174,6 +177,7 @@ def test_on_error_hold_keeps_what_follows_waiting(
     assert counts(execute(fleet, client)) == (2, 5, 1, 0)
 
 
+@pytest.mark.slow
 def test_other_options_or_another_configuration_make_all_anew(
     make_fleet: Callable[..., Any], client: Any
 ) -> None:
@@ -209,6 +213,7 @@ def test_a_configuration_that_is_gone_costs_its_cars(
     assert "own.toml" in outcome.failures[0]
 
 
+@pytest.mark.slow
 def test_some_cars_are_under_way_and_no_more(
     make_fleet: Callable[..., Any],
 ) -> None:

@@ -99,6 +99,7 @@ def state_of(program: Program, nodes_k: list[float]) -> list[float]:
     return nodes_k + [memory.initial for memory in net.memories]
 
 
+@pytest.mark.slow
 @needs_kernel
 @settings(max_examples=40, deadline=None)
 @given(
@@ -292,6 +293,7 @@ def test_what_no_number_is_bounds_nothing() -> None:
     assert isnan(ceilings.on_duty_k(heat, 0.0, HORIZON_S))
 
 
+@pytest.mark.slow
 def test_what_else_may_heat() -> None:
     """Unbounded wherever it does not follow from the parts one by one."""
     found = {}

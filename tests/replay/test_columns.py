@@ -114,6 +114,7 @@ def published(log: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(load_kernel() is None, reason="half an hour of data")
 def test_when_the_start_was_known_is_counted_from_the_first_estimate(
     tmp_path: Path,

@@ -38,6 +38,7 @@ def _known(trace: Trace) -> list[float]:
     return [value for value in trace.y if value is not None]
 
 
+@pytest.mark.slow
 def test_units_are_those_of_the_panels(descent: Results) -> None:
     traces = _traces(descent)
     power = _find(traces, "power", "FL", "Feed-Forward")
@@ -203,6 +204,7 @@ def test_no_advice_takes_no_room(descent: Results) -> None:
         assert not [t for t in curves.traces() if t.panel == "advice"]
 
 
+@pytest.mark.slow
 def test_every_reason_has_a_bar_of_its_own(descent: Results) -> None:
     bits = np.full(len(descent.columns["time_s"]), float(sum(REASON_WORDS)))
     columns = {**descent.columns, "FL.reasons": bits}

@@ -64,6 +64,7 @@ def test_pieces_add_up(descent: Results, rows: int) -> None:
         assert ours.energies_j == pytest.approx(theirs.energies_j)
 
 
+@pytest.mark.slow
 def test_equal_stretches_give_equal_bits(descent: Results) -> None:
     """A replay hands on the stretches into which a table is cut."""
     statistics, curves, drawn = DriveStatistics(), DriveCurves(), DriveCurves()
@@ -77,6 +78,7 @@ def test_equal_stretches_give_equal_bits(descent: Results) -> None:
     assert curves.spans("FL") == drawn.spans("FL")
 
 
+@pytest.mark.slow
 def test_doubtful_inputs_are_held_in_few_buckets(descent: Results) -> None:
     """In any pieces the same; a row in a day of rows is found again."""
     flags = np.zeros(len(descent))
@@ -100,6 +102,7 @@ def test_doubtful_inputs_are_held_in_few_buckets(descent: Results) -> None:
     assert span[1] <= 3 * 5400.0 + 1000.0 < span[2]
 
 
+@pytest.mark.slow
 def test_curves_of_any_pieces_keep_every_peak(descent: Results) -> None:
     """However they come, the extremes are drawn."""
     curves, drawn = DriveCurves(), DriveCurves()

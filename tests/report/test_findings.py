@@ -200,6 +200,7 @@ def test_no_bit_that_speaks_against_an_input_is_lost(bit: int) -> None:
     assert findings_of((1.0, 0), (0.5, flags), (1.0, 0)) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 13, 512])
 def test_stretches_do_not_matter(rows: int) -> None:
     """A finding over the edge of a stretch is one; nothing grows."""

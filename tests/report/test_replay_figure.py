@@ -36,6 +36,7 @@ def _plot(results: Results, title: str) -> Plot:
     return found
 
 
+@pytest.mark.slow
 def test_the_vehicle_stands_above_all_corners_and_each_one(
     descent: Results,
 ) -> None:
@@ -94,6 +95,7 @@ def _shaded(results: Results, title: str) -> list[tuple[str, str, str]]:
     ]
 
 
+@pytest.mark.slow
 def test_shades_mark_doubtful_inputs(descent: Results) -> None:
     """Each behind its own panel; power of every corner."""
     flags = np.zeros(len(descent))
@@ -117,6 +119,7 @@ def test_shades_mark_doubtful_inputs(descent: Results) -> None:
         assert _shaded(results, f"{corner}brake power [kW]") == power
 
 
+@pytest.mark.slow
 def test_a_parked_car_whose_bus_sleeps_lacks_nothing(
     descent: Results,
 ) -> None:

@@ -78,6 +78,7 @@ def test_page_shows_facts_and_figures(page: str) -> None:
     assert "0 checksum" not in text
 
 
+@pytest.mark.slow
 def test_a_disc_is_hottest_while_it_brakes_whenever_the_car_stopped(
     descent: Results,
 ) -> None:
@@ -100,6 +101,7 @@ def test_page_stays_small(page: str) -> None:
     assert len(page.encode()) - len(library.encode()) < 8_000_000
 
 
+@pytest.mark.slow
 def test_hostile_names_stay_text(descent: Results) -> None:
     facts = dataclasses.replace(
         FACTS,

@@ -177,6 +177,7 @@ def _probed(
     return json.loads(unescape(found[1]))
 
 
+@pytest.mark.slow
 def test_page_draws_without_errors_and_keeps_hostile_names_as_text(
     tmp_path: Path, descent: Results
 ) -> None:

@@ -636,6 +636,7 @@ def test_the_brakes_never_cool_for_longer_than_they_stood(
     sequences()
 
 
+@pytest.mark.slow
 def test_a_clock_right_at_both_ends_gives_the_time(
     computer: Callable[[], Computer],
 ) -> None:

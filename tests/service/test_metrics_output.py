@@ -180,6 +180,7 @@ def test_metrics_without_their_package_are_refused_at_the_start(
     assert "pip install 'bstm-daemon[metrics]'" in line
 
 
+@pytest.mark.slow
 def test_without_metrics_their_package_is_not_loaded() -> None:
     code = (
         "import sys; from pathlib import Path\n"

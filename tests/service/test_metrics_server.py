@@ -150,6 +150,7 @@ def test_only_the_loopback_interface(server: MetricsServer) -> None:
     assert server._server.server_address[0] == "127.0.0.1"
 
 
+@pytest.mark.slow
 def test_closing_frees_the_port_and_ends_the_thread(
     metrics: StatusMetrics,
 ) -> None:
@@ -175,6 +176,7 @@ def test_a_broken_request_disturbs_nobody(
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_a_client_of_a_byte_every_half_second_holds_up_nobody(
     metrics: StatusMetrics,
 ) -> None:

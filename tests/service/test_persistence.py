@@ -394,6 +394,7 @@ def test_within_a_boot_nobody_can_set_the_parked_time(file: Path) -> None:
     box.persistence.close(box.engine)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("other_boots")
 def test_a_clock_synchronised_late_corrects_once(file: Path) -> None:
     clocks = Clocks()

@@ -133,6 +133,7 @@ FRAMES = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(drawn=FRAMES, segment_s=st.sampled_from([1.0, 2.5, 60.0]))
 def test_what_is_recorded_is_read_back(

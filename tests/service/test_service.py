@@ -196,6 +196,7 @@ def run(tmp_path: Path, channel: str) -> Run:
     return start
 
 
+@pytest.mark.slow
 def test_a_drive_is_published_and_ends_not_available(
     run: Run, tmp_path: Path
 ) -> None:
@@ -230,6 +231,7 @@ def test_a_drive_is_published_and_ends_not_available(
     assert set(document["corners"]) == set(CORNERS)
 
 
+@pytest.mark.slow
 def test_the_next_run_goes_on_where_the_last_one_ended(
     run: Run, tmp_path: Path
 ) -> None:
@@ -243,6 +245,7 @@ def test_the_next_run_goes_on_where_the_last_one_ended(
     assert gap % 16 >= 1
 
 
+@pytest.mark.slow
 def test_the_feed_has_what_the_frames_have(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "feed.sock"
     name = "test_the_feed_has_what_the_frames_have"
@@ -277,6 +280,7 @@ def test_the_feed_has_what_the_frames_have(run: Run, tmp_path: Path) -> None:
     assert not path.exists(), "it goes with the service"
 
 
+@pytest.mark.slow
 def test_a_feed_that_cannot_be_opened_ends_nothing(
     run: Run, tmp_path: Path
 ) -> None:
@@ -318,6 +322,7 @@ def test_without_publish_nothing_is_sent(run: Run, tmp_path: Path) -> None:
     assert "publishing_started" not in lines.names()
 
 
+@pytest.mark.slow
 def test_a_stall_of_the_loop_leaves_no_gap_in_the_counters(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -344,6 +349,7 @@ def test_a_stall_of_the_loop_leaves_no_gap_in_the_counters(
     assert {(b - a) % 16 for a, b in itertools.pairwise(counters)} == {1}
 
 
+@pytest.mark.slow
 def test_a_missing_input_is_told_everywhere(
     run: Run, tmp_path: Path, channel: str
 ) -> None:
@@ -378,6 +384,7 @@ def test_a_missing_input_is_told_everywhere(
     assert (last["PressureStale"], last["State"]) == ("stale", "degraded")
 
 
+@pytest.mark.slow
 def test_a_foreign_sender_of_our_id_ends_ours(run: Run) -> None:
     def play(peer: Peer, lines: Lines) -> None:
         peer.drive(0.3)
@@ -394,6 +401,7 @@ def test_a_foreign_sender_of_our_id_ends_ours(run: Run) -> None:
     assert lines.names().count("foreign_frame") == 1
 
 
+@pytest.mark.slow
 def test_a_reload_keeps_the_brakes_and_a_bad_one_the_configuration(
     run: Run, tmp_path: Path, channel: str
 ) -> None:
@@ -435,6 +443,7 @@ FAILURES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["compile_signal_map", "Engine", "links"])
 def test_a_reload_that_fails_in_any_way_leaves_the_old_engine_running(
     run: Run,
@@ -484,6 +493,7 @@ def test_a_reload_that_fails_in_any_way_leaves_the_old_engine_running(
         assert "\n" not in line
 
 
+@pytest.mark.slow
 def test_a_state_that_the_new_engine_can_not_take_leaves_the_old_one(
     run: Run, tmp_path: Path, channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -519,6 +529,7 @@ def test_a_state_that_the_new_engine_can_not_take_leaves_the_old_one(
     assert closed == ["closed"]
 
 
+@pytest.mark.slow
 def test_while_a_configuration_is_built_the_cycle_goes_on(
     run: Run, tmp_path: Path, channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -617,6 +628,7 @@ def test_the_collector_passes_over_no_vehicle_and_a_reload_leaves_none(
     assert not any(passed_over)
 
 
+@pytest.mark.slow
 def test_the_service_manager_hears_ready_status_watchdog_and_stopping(
     run: Run, tmp_path: Path
 ) -> None:

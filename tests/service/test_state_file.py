@@ -345,6 +345,7 @@ def test_a_cut_and_a_flipped_bit_anywhere_are_seen(
                 decode(bad)
 
 
+@pytest.mark.slow
 @settings(max_examples=200)
 @given(
     st.binary(max_size=300)

@@ -131,6 +131,7 @@ def test_mistake_names_file_and_key(text: str, problem: str) -> None:
         parse_drive(text, "f.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("segments", "problem"),
     [

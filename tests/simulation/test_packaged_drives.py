@@ -142,6 +142,7 @@ def test_slippery_shows_its_interventions() -> None:
     assert energy_ledger(driven).tyres > 1e4
 
 
+@pytest.mark.slow
 def test_regeneration_spares_the_pads() -> None:
     ledger = energy_ledger(run("regen"))
 

@@ -108,6 +108,7 @@ def test_resolution_is_fine_enough(
         assert abs(fine.truth[node] - simalp.truth[node]).max() < limit
 
 
+@pytest.mark.slow
 def test_alpine_descent_takes_the_same_energy(
     simalp: SimulatedDrive,
 ) -> None:

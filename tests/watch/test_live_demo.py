@@ -183,6 +183,7 @@ def test_an_absent_package_is_named_at_once(
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_a_machine_without_multicast_is_told_what_helps(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -102,6 +102,7 @@ def test_a_low_screen_keeps_the_corners(car: tuple[Board, Sender]) -> None:
     assert lines[9].endswith("q leaves")
 
 
+@pytest.mark.slow
 @given(width=st.integers(1, 200), height=st.integers(1, 60))
 def test_fills_any_screen_exactly(
     make_sender: MakeSender, width: int, height: int
@@ -233,6 +234,7 @@ def test_a_long_reason_is_told_whole(board: Board) -> None:
     assert reason in text
 
 
+@pytest.mark.slow
 @given(width=st.integers(1, 120), height=st.integers(1, 40))
 def test_ascii_is_kept_at_any_size(
     make_sender: MakeSender, width: int, height: int

@@ -72,6 +72,7 @@ def test_it_follows_the_size_is_stopped_and_left(watching: Terminal) -> None:
     assert watching.raw.endswith(LEAVE)
 
 
+@pytest.mark.slow
 def test_control_c_leaves_and_nothing_is_coloured(terminal: Start) -> None:
     watching = terminal(80, 24, *WATCH, NO_COLOR="1")
     watching.until("q leaves")

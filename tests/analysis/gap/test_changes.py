@@ -275,6 +275,7 @@ def test_nothing_has_changed_where_nothing_has(
     assert found.naming.answer == "nothing"
 
 
+@pytest.mark.slow
 def test_a_large_change_is_simulated_again_without_the_form(
     matched: Target, made: Callable[..., Recording]
 ) -> None:
@@ -406,6 +407,7 @@ def test_the_form_that_fits_is_written_with_the_change(
     assert change.factor == pytest.approx(np.exp(3.0 * STEP))
 
 
+@pytest.mark.slow
 def test_what_the_form_lacks_is_taken_off_later_drives(
     matched: Target, made: Callable[..., Recording]
 ) -> None:

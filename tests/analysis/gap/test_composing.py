@@ -132,6 +132,7 @@ def test_the_response_is_at_the_thermocouple_and_as_late(
     assert shown == pytest.approx(lagged(second, 20.0, block_s))
 
 
+@pytest.mark.slow
 def test_the_hidden_term_is_first_and_of_its_size(
     target: Target, config: Config, made: Callable[..., Recording]
 ) -> None:
@@ -203,6 +204,7 @@ def test_nothing_is_composed_where_nothing_is_missing(
     assert not comparison.sizes
 
 
+@pytest.mark.slow
 def test_a_composed_term_is_answered_beside_what_is_known(
     target: Target, config: Config, made: Callable[..., Recording]
 ) -> None:

@@ -293,6 +293,7 @@ def test_below_the_gate_an_effect_is_likely_and_not_named(
     assert plain.answer == "name"
 
 
+@pytest.mark.slow
 def test_a_pair_weighs_what_its_normal_strengths_do(
     layout: Layout, quiet: Linearised
 ) -> None:

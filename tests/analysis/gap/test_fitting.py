@@ -66,6 +66,7 @@ def test_the_interval_ends_where_the_effect_would_turn(
     assert low < strength < high
 
 
+@pytest.mark.slow
 def test_known_sensitivities_lead_to_the_same_fit(
     target: Target, made: Callable[..., Recording]
 ) -> None:

@@ -285,6 +285,7 @@ def test_braking_without_pressure_is_beyond_zero_and_pressed_windows() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_braking_without_pressure_is_named() -> None:
     found = find_force_gap(car()[0], [driven("assist", {})])
 
@@ -304,6 +305,7 @@ def test_braking_without_pressure_is_named() -> None:
     }
 
 
+@pytest.mark.slow
 def test_what_forces_can_not_tell_is_said() -> None:
     found = find_force_gap(car()[0], [driven("idiada-step", {})])
 
@@ -442,6 +444,7 @@ def test_the_noise_of_the_motion_is_no_lack_of_mass() -> None:
     assert np.std(left_n) > 5.0
 
 
+@pytest.mark.slow
 def test_an_adopted_mass_is_what_forces_are_measured_by() -> None:
     """Its change has no noise in it either, and no match learns it."""
     name = "change.effect.mass_error.strength"
@@ -468,6 +471,7 @@ def test_an_adopted_mass_is_what_forces_are_measured_by() -> None:
     assert name not in learned_forces(config, [recording])
 
 
+@pytest.mark.slow
 def test_what_is_alike_on_all_drives_is_learned_without_the_mass() -> None:
     """A drag area of 0.8 of the right one: a quarter more is learned."""
     config = car()[0]
@@ -489,6 +493,7 @@ def test_what_is_alike_on_all_drives_is_learned_without_the_mass() -> None:
     assert np.std(known.base_n) < np.std(unknown.base_n)
 
 
+@pytest.mark.slow
 def test_wheels_that_follow_the_torque_late_are_learned() -> None:
     """By as much as the torque comes too early."""
     config = car()[0]
@@ -507,6 +512,7 @@ def test_wheels_that_follow_the_torque_late_are_learned() -> None:
     assert after - before == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_friction_and_load_of_each_drive_are_its_own() -> None:
     config = matched_to(car()[0], {"residual_drag": (0.0, 0.05)})
     one, two = (
@@ -578,6 +584,7 @@ def test_a_car_of_another_friction_law_shows_only_what_is_new() -> None:
     assert learned_forces(known, [again]).keys() == learned.keys()
 
 
+@pytest.mark.slow
 def test_effects_that_a_matched_model_has_can_change() -> None:
     config = matched_to(car()[0], {})
     entry = EffectConfig(name="friction_pressure", parameters={"strength": 1})
@@ -600,6 +607,7 @@ def test_effects_that_a_matched_model_has_can_change() -> None:
     assert "friction_pressure" not in unseen
 
 
+@pytest.mark.slow
 def test_a_drive_without_pressure_or_force_teaches_nothing() -> None:
     config, _ = car()
     recording = driven("idiada-step", {}, sensors="none")

@@ -52,6 +52,7 @@ MANY_TOGETHER: Final = 3
 """Of the directions of all effects, by size, one that takes many of them."""
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing(
     target: Target, made: Callable[..., Recording]
 ) -> None:
@@ -66,6 +67,7 @@ def test_nothing_is_named_where_nothing_is_missing(
     assert all(np.isfinite(one.reach) for one in found.candidates)
 
 
+@pytest.mark.slow
 def test_what_an_adopted_effect_is_off_by_is_no_further_one(
     config: Config, made: Callable[..., Recording]
 ) -> None:
@@ -84,6 +86,7 @@ def test_what_an_adopted_effect_is_off_by_is_no_further_one(
     assert found.gate_z < 2.0
 
 
+@pytest.mark.slow
 def test_noise_of_a_reading_is_no_error_of_its_gain(
     target: Target, made: Callable[..., Recording]
 ) -> None:
@@ -97,6 +100,7 @@ def test_noise_of_a_reading_is_no_error_of_its_gain(
     assert found.gate_z < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gap_conduction", "shim_contact"])
 def test_the_hidden_effect_is_named(
     target: Target, made: Callable[..., Recording], name: str
@@ -222,6 +226,7 @@ def test_probabilities_sum_to_one() -> None:
     assert odds["a"] > odds[""] > odds["b"]
 
 
+@pytest.mark.slow
 def test_the_fit_finds_strength_and_the_gap_shrinks(
     target: Target, made: Callable[..., Recording]
 ) -> None:

@@ -46,6 +46,7 @@ def searched(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETS)
 def test_no_set_gives_a_wrong_name(
     target: Target, made: Callable[..., Recording], name: str

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from bstm_daemon.analysis.statistics.series import Column
 
 
+@pytest.mark.slow
 def test_a_straight_line_in_what_it_goes_with() -> None:
     """Weighted by the force: no part of friction as a whole, and 5 %."""
     config, _ = car()

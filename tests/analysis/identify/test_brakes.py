@@ -104,6 +104,7 @@ def test_push_out_beside_friction_that_leans(
     assert found.lean_pressure.value < -0.03
 
 
+@pytest.mark.slow
 def test_friction_that_leans_is_written_as_one_law(
     identified: Callable[..., Brakes], example: Example, tmp_path: Path
 ) -> None:
@@ -165,6 +166,7 @@ def test_hydraulic_lag(identified: Callable[..., Brakes]) -> None:
     assert found.scale.value == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_one_pressure_level_gives_no_push_out(
     identified: Callable[..., Brakes],
 ) -> None:
@@ -199,6 +201,7 @@ rate_ms2 = 1.5
     assert found.scale.value == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_front_and_rear_are_one_with_one_pressure(
     identified: Callable[..., Brakes],
 ) -> None:
@@ -284,6 +287,7 @@ def test_wheel_pressures_that_part_tell_the_axles(
     )
 
 
+@pytest.mark.slow
 def test_the_released_pressure_is_found_from_the_data(
     simulated: Callable[..., SimulatedDrive],
     sampled: Callable[..., Recording],

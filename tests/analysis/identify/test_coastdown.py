@@ -68,6 +68,7 @@ rate_ms2 = 3.0
 """
 
 
+@pytest.mark.slow
 def test_values_of_another_car(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
@@ -119,6 +120,7 @@ def test_even_grade_leaves_the_accelerometer_out(
     assert found.bias_ms2 is None
 
 
+@pytest.mark.slow
 def test_several_logs_are_one_fit(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
@@ -142,6 +144,7 @@ def test_several_logs_are_one_fit(
     assert any("assumed level" in text for text in single.remarks)
 
 
+@pytest.mark.slow
 def test_one_way_gives_no_rolling_resistance(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
@@ -174,6 +177,7 @@ def test_held_value_stays_and_the_others_gain(
     )
 
 
+@pytest.mark.slow
 def test_accelerometer_bias_and_pitch_are_found(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
@@ -191,6 +195,7 @@ def test_accelerometer_bias_and_pitch_are_found(
     assert found.bias_ms2 == pytest.approx(bias, abs=0.01)
 
 
+@pytest.mark.slow
 def test_energy_is_balanced_in_the_right_form(
     logged: Logged, driving: Reader, example: Example
 ) -> None:

@@ -188,6 +188,7 @@ def test_intervals_hold_under_drift(axle_of: AxleOf) -> None:
     assert max(widths) < 0.06
 
 
+@pytest.mark.slow
 def test_form_that_does_not_fit_is_named(
     example: Example, sample_of: Sampled
 ) -> None:
@@ -231,6 +232,7 @@ def cooling_disc(disc_k: np.ndarray, speed_ms: float = 20.0) -> CoolDown:
     )
 
 
+@pytest.mark.slow
 def test_exponential_gives_its_rate_back(example: Example) -> None:
     """Noise of 1 K and a drift of 3 K: within two errors, 20 times of 20."""
     loss = disc_loss(example[0], "FL")
@@ -256,6 +258,7 @@ def test_exponential_gives_its_rate_back(example: Example) -> None:
     assert np.mean(np.abs(misses) < 1.645) >= 0.8
 
 
+@pytest.mark.slow
 def test_radiation_is_taken_off_at_standstill(example: Example) -> None:
     """Marched with the estimator's own terms, the convection comes back."""
     loss = disc_loss(example[0], "FL")
@@ -298,6 +301,7 @@ def test_parked_fraction_and_table(axle_of: AxleOf) -> None:
     assert len(axle.table) == len(SPEEDS_KMH)
 
 
+@pytest.mark.slow
 def test_points_that_were_not_driven_keep_the_shape(
     example: Example, axle_of: AxleOf
 ) -> None:
@@ -355,6 +359,7 @@ def test_speeds_are_grouped() -> None:
     assert speeds == pytest.approx([0.0, 5.2, 27.45])
 
 
+@pytest.mark.slow
 def test_only_released_even_and_hot(logged: Logged, driving: Reader) -> None:
     """Every stretch begins after the brake and stays at its speed."""
     reading = driving(logged("cooldown", "n2"))
@@ -446,6 +451,7 @@ def test_what_is_missing_is_said(
         identify_cooling([reading], example[0])
 
 
+@pytest.mark.slow
 def test_dead_thermocouple_is_no_cool_down(
     example: Example, sample_of: Sampled
 ) -> None:

@@ -119,6 +119,7 @@ def test_what_is_faster_is_told_of_the_table_that_is_found(
     assert vague.beyond == (np.mean(speed > 10.0), 10.0)
 
 
+@pytest.mark.slow
 def test_too_little_is_said(
     logged: Logged, driving: Reader, example: Example
 ) -> None:

@@ -35,6 +35,7 @@ def guess(config: Config) -> Config:
     return config.model_copy(update={"corner": corners, "vehicle": vehicle})
 
 
+@pytest.mark.slow
 def test_guesses_are_found_and_measured_values_stay(
     logged: Logged,
     driving: Callable[..., Driving],
@@ -66,6 +67,7 @@ def test_guesses_are_found_and_measured_values_stay(
     assert {one.key for one in only_drag} == {"drag_area_m2"}
 
 
+@pytest.mark.slow
 def test_what_the_drives_do_not_show_is_said(
     logged: Logged,
     driving: Callable[..., Driving],

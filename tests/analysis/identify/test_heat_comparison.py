@@ -52,6 +52,7 @@ def compared(logged: Logged, driving: Reader, example: Example) -> Compared:
     return of_drive
 
 
+@pytest.mark.slow
 def test_totals_are_the_truth(
     compared: Compared, simulated: Callable[..., SimulatedDrive]
 ) -> None:
@@ -72,6 +73,7 @@ def test_totals_are_the_truth(
         assert left + balance.drive_j == pytest.approx(balance.brake_j)
 
 
+@pytest.mark.slow
 def test_accelerometer_bias_is_in_feed_back(compared: Compared) -> None:
     """What the thesis could not use: FB alone follows the sensor's offset."""
     clean, _ = compared("idiada-step", "none")
@@ -85,6 +87,7 @@ def test_accelerometer_bias_is_in_feed_back(compared: Compared) -> None:
     assert climb_j == pytest.approx(-moved_j, rel=0.1)
 
 
+@pytest.mark.slow
 def test_transient_braking_is_one_stop(compared: Compared) -> None:
     """Fig 4.6: pulses within a stop, the sum as at constant pressure."""
     heat, _ = compared("idiada-pulse", "none")
@@ -95,6 +98,7 @@ def test_transient_braking_is_one_stop(compared: Compared) -> None:
         assert forward == pytest.approx(stop.energy_j["fb"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_ratio_of_friction_configured_too_high(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
@@ -138,6 +142,7 @@ def test_pressure_over_force_rises_as_friction_fades(
     assert last > 1.15 * first
 
 
+@pytest.mark.slow
 def test_friction_of_the_stops(compared: Compared) -> None:
     """Fig 4.7: within stops by motion, front and rear by their heat."""
     _, friction = compared("idiada-step")
@@ -154,6 +159,7 @@ def test_friction_of_the_stops(compared: Compared) -> None:
     assert by_discs == {"front": True, "rear": False}
 
 
+@pytest.mark.slow
 def test_friction_falls_with_temperature(compared: Compared) -> None:
     """The fade test: the front's friction falls as its discs heat up."""
     _, friction = compared("ams", preset="road")
@@ -167,6 +173,7 @@ def test_friction_falls_with_temperature(compared: Compared) -> None:
     assert means[-1] < 0.9 * means[0]
 
 
+@pytest.mark.slow
 def test_sources_that_are_not_there_are_named(
     logged: Logged, driving: Reader, example: Example
 ) -> None:
@@ -185,6 +192,7 @@ def test_sources_that_are_not_there_are_named(
     assert not np.isfinite(heat.momentary_ratio()).any()
 
 
+@pytest.mark.slow
 def test_fused_power_is_shown_where_it_is_given(
     logged: Logged, driving: Reader, example: Example
 ) -> None:

@@ -24,6 +24,7 @@ def fitted(drive: Drive, form: int = 0) -> Baseline:
     return baselines([drive])["FL"][form]
 
 
+@pytest.mark.slow
 def test_the_constants_of_one_node_are_found_from_the_motion() -> None:
     found = fitted(made(MOTION))
 
@@ -33,6 +34,7 @@ def test_the_constants_of_one_node_are_found_from_the_motion() -> None:
     assert found.title == "disc of one node"
 
 
+@pytest.mark.slow
 def test_the_constants_of_one_node_are_found_from_the_pressure() -> None:
     found = fitted(made(PRESSURE))
 
@@ -54,6 +56,7 @@ def test_the_constants_of_disc_and_hat_are_found(
     assert one.rms_k > 1.0
 
 
+@pytest.mark.slow
 def test_the_air_may_change() -> None:
     air_k = 290.0 + 15.0 * np.sin(np.arange(3600) / 500.0)
 
@@ -62,6 +65,7 @@ def test_the_air_may_change() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_gap_in_the_measurement_counts_for_nothing() -> None:
     whole, gap = made(MOTION), made(MOTION, gap_s=(300.0, 700.0))
     found = fitted(gap)
@@ -87,6 +91,7 @@ def test_a_drive_without_a_pressure_leaves_the_motion() -> None:
     assert fitted(drives[0]).heat == "pressure"
 
 
+@pytest.mark.slow
 def test_on_another_drive_it_is_computed_from_the_first_reading_alone() -> (
     None
 ):
@@ -110,6 +115,7 @@ def test_on_another_drive_it_is_computed_from_the_first_reading_alone() -> (
     assert found.rms_on([hotter]) == pytest.approx(7.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_several_drives_are_fitted_together() -> None:
     drives = [
         made(MOTION, 600.0, seed=seed, name=f"drive {seed}")
@@ -122,6 +128,7 @@ def test_several_drives_are_fitted_together() -> None:
     assert found.drives == ("drive 1", "drive 2", "drive 3")
 
 
+@pytest.mark.slow
 def test_braking_is_resolved_within_the_step() -> None:
     """Means over half a second blur where a stop begins and ends."""
     drive = made(MOTION, within=10)
@@ -131,6 +138,7 @@ def test_braking_is_resolved_within_the_step() -> None:
     assert fitted(blurred).rms_k > 0.3
 
 
+@pytest.mark.slow
 def test_a_corner_without_a_thermocouple_at_its_disc_has_none() -> None:
     drive = made(MOTION, 600.0, corners=("FL", "FR"))
     couple = drive.measured["FL"]["disc"]

@@ -84,6 +84,7 @@ def guessing(target: Target) -> Target:
     return replace(target, config=config, guessed=GUESSED)
 
 
+@pytest.mark.slow
 def test_mass_cooling_and_drag_are_found_from_afar(
     guessing: Target, sparse: Drive
 ) -> None:
@@ -170,6 +171,7 @@ def test_nothing_is_searched_where_nothing_is_guessed(
     assert not found.noise
 
 
+@pytest.mark.slow
 def test_what_the_search_leaves_is_noise_of_each_point(
     guessing: Target, sparse: Drive
 ) -> None:

@@ -223,6 +223,7 @@ def test_a_part_begins_where_it_is_cut(drive: Drive) -> None:
     assert drive.part(0, len(drive)) is drive
 
 
+@pytest.mark.slow
 def test_drives_are_read_in_order_each_once(log: Path, tmp_path: Path) -> None:
     config, signal_map = load_vehicle(EXAMPLE)
     later = tmp_path / "later.log"

@@ -57,6 +57,7 @@ RIGHT = {
 }
 
 
+@pytest.mark.slow
 def test_right_values_are_found(
     target: Target, made: Callable[..., Drive]
 ) -> None:
@@ -123,6 +124,7 @@ def test_alike_discs_have_values_of_their_own(
     )
 
 
+@pytest.mark.slow
 def test_a_wrong_form_ends_at_a_bound_and_says_so(
     target: Target, made: Callable[..., Drive]
 ) -> None:

@@ -65,6 +65,7 @@ def test_a_peak_at_the_end_of_the_record_is_none(
     assert fluid_peak(short, "FL", *span) is None
 
 
+@pytest.mark.slow
 def test_a_missing_thermocouple_drops_only_its_stages(
     target: Target, made: Callable[..., Drive]
 ) -> None:
@@ -93,6 +94,7 @@ def test_stages_improve_what_they_fit(
             assert after <= before + 0.05, one.stage.title
 
 
+@pytest.mark.slow
 def test_only_cooling_leaves_the_rest(
     target: Target, made: Callable[..., Drive]
 ) -> None:

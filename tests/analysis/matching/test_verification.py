@@ -195,6 +195,7 @@ def test_a_model_is_held_against_what_other_drives_give() -> None:
     assert not found["a", TWO].passed
 
 
+@pytest.mark.slow
 def test_one_drive_alone_is_its_own_rival_three_times() -> None:
     """A fit to the drive itself has an advantage."""
     drive = lumped(HAT)
@@ -208,6 +209,7 @@ def test_one_drive_alone_is_its_own_rival_three_times() -> None:
         assert found.passed is met
 
 
+@pytest.mark.slow
 def test_the_drives_of_the_match_are_the_others() -> None:
     drive, of_match = lumped(HAT), lumped(HAT, 900.0, seed=2)
     fit, _ = baselines([of_match])["FL"]

@@ -246,6 +246,7 @@ def test_wheels_that_spin_in_launches_are_no_fault(
     assert not [text for text in quality.findings if text.wrong]
 
 
+@pytest.mark.slow
 def test_a_residual_pressure_is_a_released_brake(
     clean: Recording, judged: Judge
 ) -> None:

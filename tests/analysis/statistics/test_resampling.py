@@ -42,6 +42,7 @@ def test_groups_that_err_alike_count_once() -> None:
     assert jackknife(means)[0, 0] == pytest.approx(stops.var(ddof=1) / 5)
 
 
+@pytest.mark.slow
 def test_the_interval_covers() -> None:
     """Nine in ten of 200 samples of 60 blocks hold the true ratio of 2."""
     rng = np.random.default_rng(2)

@@ -116,6 +116,7 @@ def _second(snapshot: Estimate, *corners: str) -> dict[str, OutputFrame]:
 # encode and decode
 
 
+@pytest.mark.slow
 @given(snapshots)
 def test_encode_never_raises_and_cantools_encodes_the_same_bytes(
     snapshot: Estimate,

@@ -510,6 +510,7 @@ CELL = st.one_of(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(
     max_examples=200,
     deadline=None,

@@ -443,6 +443,7 @@ def test_heat_soak_grows_parked_and_clears(
     assert there["ambient_soak"] == 0.0
 
 
+@pytest.mark.slow
 def test_heat_soak_ends_at_the_true_air(corner: Callable[..., Corner]) -> None:
     """Parked for long, everything is as cold as the air really is."""
     there = corner("ambient_heat_soak", strength=0.5)

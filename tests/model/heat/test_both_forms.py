@@ -278,6 +278,7 @@ def same(one: Run, two: Run) -> bool:
 TOO_SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, suppress_health_check=TOO_SLOW)
 @given(chosen=PLANS, drive=DRIVES)
 def test_random_cars_and_drives(

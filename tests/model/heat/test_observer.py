@@ -332,6 +332,7 @@ def test_heat_is_right_once_learned(
     assert abs(found - real) < 2.0 * spread < 0.3 * real
 
 
+@pytest.mark.slow
 def test_both_forms_give_the_same_bits(
     compiled: Kernel, fused: Callable[..., Run]
 ) -> None:

@@ -1368,6 +1368,7 @@ def driven(episodes: list[Any]) -> Iterator[tuple[int, str | int, float]]:
     yield drive.at_us + 2_000_000, -1, 0.0
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     episodes=EPISODES,

@@ -174,6 +174,7 @@ def test_a_clock_that_is_set_wakes_no_sleeping_bus(
     assert run.flag("asleep")[-1]
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=10)
 @given(
     seconds=st.lists(st.floats(58.0, 66.0), min_size=3, max_size=3),
@@ -340,6 +341,7 @@ def stamped(
     return samples
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(stream=STREAMS)
 def test_both_forms_give_the_same_bits(
@@ -359,6 +361,7 @@ def test_both_forms_give_the_same_bits(
     assert one.codes == two.codes
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     stream=STREAMS,

@@ -255,6 +255,7 @@ def test_a_pedal_stuck_at_rest_hides_no_braking(
     assert found.braking_j > (least - 1e-3) * sound.braking_j
 
 
+@pytest.mark.slow
 def test_assistants_brake_without_the_switch(
     heat: Callable[..., Heat],
 ) -> None:
@@ -268,6 +269,7 @@ def test_assistants_brake_without_the_switch(
         assert found.braking_j > found.true_j
 
 
+@pytest.mark.slow
 def test_interventions_count_though_the_pedal_rests(
     heat: Callable[..., Heat],
 ) -> None:

@@ -154,6 +154,7 @@ def test_the_table_agrees_with_the_law(car: Config) -> None:
     assert names == WEAR_COLUMNS
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(cuts=st.lists(st.integers(1, 6500), max_size=6))
 def test_how_a_stream_is_cut_changes_no_bit(

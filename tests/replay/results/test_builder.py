@@ -222,6 +222,7 @@ class Lengths:
         self.rows.append(len(rows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every_us", [100_000, 300_000])
 @pytest.mark.parametrize("rows", [1, 100, 5000])
 def test_how_blocks_are_cut_does_not_matter(
@@ -248,6 +249,7 @@ def test_how_blocks_are_cut_does_not_matter(
         assert np.array_equal(column, other.columns[name], equal_nan=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every_us", [300_000, 1_000_000])
 @pytest.mark.parametrize("rows", [1, 7, 5000])
 def test_a_row_has_the_flags_of_those_dropped_before_it(

@@ -304,6 +304,7 @@ def test_half_a_table_never_stands(
         assert [f.name for f in tmp_path.iterdir()] == ["table"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not hasattr(os, "fork"), reason="needs a limit on file sizes"
 )
