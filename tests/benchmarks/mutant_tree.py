@@ -49,8 +49,11 @@ print(json.dumps([texts, SOURCES, hashes, files]))
 """
 PYTEST: Final = (
     *("-m", "pytest", "-q", "-p", "no:cacheprovider"),
+    *("-m", "not full and not vcan and not systemd"),
     *("--hypothesis-profile", "mutants"),
 )
+LONGEST_S: Final = 4.0
+"""A test that takes more without a mutant is asked about none."""
 MEMORY: Final = 8 << 30
 """In bytes. A mutant may ask for all of it, or for all of the time."""
 PATIENCE: Final = 10.0
@@ -72,6 +75,9 @@ class Clean:
         self._seconds: Counter[str] = Counter()
         for seconds, test in DURATION.findall(output):
             self._seconds[test] += float(seconds)
+        for test, seconds in [*self._seconds.items()]:
+            if seconds > LONGEST_S:
+                del self._seconds[test]
         self._executed = CoverageData(str(coverage))
         self._executed.read()
 
@@ -88,7 +94,8 @@ class Clean:
             for number in range(begin, end + 1):
                 found.update(contexts.get(number, ()))
         ran = [context.rpartition("|") for context in found]
-        known = {test for test, _, _ in ran}
+        # "" is what runs on import, in no test
+        known = {test for test, _, _ in ran if test in {"", *self._seconds}}
         # a fixture is set up once, and all tests of its file may need it
         shared = {
             test.partition("::")[0] for test, _, when in ran if when == "setup"

@@ -1,7 +1,7 @@
 """Mutation testing: how many small defects the tests of a room find.
 
 ``mutants.py [ROOM ...] [--count N]``. universalmutator changes one line, and
-the fast tests of the room run in a copy of the tree. Verdicts are kept in
+the quick tests of the room run in a copy of the tree. Verdicts are kept in
 ``.ci/cache`` until the file or the tests change, so a run goes on where the
 last one ended. ``mutants.toml`` names survivors with the reason of each: those
 that no test can find do not count, of the others it says why none does.
@@ -175,8 +175,8 @@ def examined(rooms: Sequence[str], count: int) -> Outcome:
     outcome = Outcome(
         "Mutation testing",
         f"{count} mutants a room, one changed line each, drawn with a seed "
-        "over all lines, against the room's fast tests. Equivalent: survivors "
-        "that no test can find, with the reason in "
+        "over all lines, against the room's quick tests. Equivalent: "
+        "survivors that no test can find, with the reason in "
         "`tests/benchmarks/mutants.toml`; they do not count.",
     )
     scores, open_ones = [], []
