@@ -152,6 +152,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("rooms", nargs="*", metavar="ROOM")
     parser.add_argument("--count", type=int, default=FULL, metavar="N")
     args = parser.parse_args(arguments)
+    for room in args.rooms:
+        if room not in ROOMS:
+            parser.error(f"no room {room!r}; there are {', '.join(ROOMS)}")
     outcome = examined(args.rooms or list(ROOMS), args.count)
     show(outcome)
     return int(not all(goal.reached for goal in outcome.goals))
