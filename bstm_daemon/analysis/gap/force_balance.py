@@ -236,7 +236,8 @@ class ForceComparison:
             )
             raise LogError(msg)
         self._columns: dict[str, Column] = {}
-        self._noise_n: Column | float = 0.0
+        self.noise_n: Column = np.zeros(1)
+        """What the tunables leave of the residual, (n,)."""
         self._raw_n = self._residual(self.parts)
         self.trials = trials(config, ()) if config.matched else {}
         self.steady_n = self._steady()
@@ -244,7 +245,7 @@ class ForceComparison:
         known_n, unsure = self._known()
         self.base_n = self._raw_n + known_n
         self.tunables += unsure
-        self._noise_n = self._left_n()
+        self.noise_n = self._left_n()
         if self.known:
             self.tunables += self._daily()
         self.layout = self._layout()
@@ -284,7 +285,7 @@ class ForceComparison:
         changed_n = self._residual(parts) - self._raw_n
         # a smaller mass has less noise too: that is not less of a gap
         more = _mass_kg(config) / _mass_kg(self.config) - 1.0
-        return np.asarray((changed_n - more * self._noise_n) / step)
+        return np.asarray((changed_n - more * self.noise_n) / step)
 
     def _known(self) -> tuple[Column, list[Tunable]]:
         """Return what the match knows of the residual, less than nothing.

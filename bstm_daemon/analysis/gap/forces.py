@@ -39,7 +39,8 @@ class Forces:
     """Mean forces [N] over windows, (n,) each, positive for braking.
 
     ``pressed_n`` is of the pressure by corner, (corners, n), ``motion_n`` of
-    the motion, nan where it is not known; ``first`` is the step that a window
+    the motion, nan where it is not known, ``inertia_n`` what of the motion
+    accelerates or lifts the car; ``first`` is the step that a window
     begins at, ``braked`` the share of the window with the pressure on,
     ``rate_ms2`` the change of the speed, ``driven_n`` the force of the torque
     at the wheels, nan where it is not known, ``engine_nm`` what is known of
@@ -55,6 +56,7 @@ class Forces:
     braked: Column
     pressed_n: Column
     motion_n: Column
+    inertia_n: Column
     driven_n: Column
     engine_nm: Column
     known_torque: bool
@@ -82,7 +84,7 @@ def forces(recording: Recording, config: Config) -> Forces:
     every = round(
         max(WINDOW_S, recording.drive.duration_s / MOST_WINDOWS) / GRID_S
     )
-    motion, driven, has_accelerometer, known = _motion_n(
+    motion, inertia, driven, has_accelerometer, known = _motion_n(
         recording, config, speed
     )
     engine = np.full(len(speed), np.nan)
@@ -98,12 +100,9 @@ def forces(recording: Recording, config: Config) -> Forces:
     first, last = edges[:-1], edges[1:]
     length = np.maximum(distance[last] - distance[first], 1e-3)
     energy = inputs[:, :, CHANNELS.index("brake_energy_ff_j")]
-    work = _running(np.nan_to_num(motion) * speed)
     missing = _running(np.isnan(motion).astype(float))
     slow = _running((speed < SLOWEST_MS).astype(float))
     bad = (missing[last] > missing[first]) | (slow[last] > slow[first])
-    force = (work[last] - work[first]) / length
-    force[bad] = np.nan
     brake_on = inputs[:, :, CHANNELS.index("brake_on")].max(axis=1)
     switch = ROLE_INDEX["brake_switch"]
     if switch in recording.present:
@@ -115,6 +114,11 @@ def forces(recording: Recording, config: Config) -> Forces:
         total = _running(column)
         return np.asarray((total[last] - total[first]) / (every * GRID_S))
 
+    def by_way(column: Column) -> Column:
+        work = _running(np.nan_to_num(column) * speed)
+        found = (work[last] - work[first]) / length
+        return np.where(bad, np.nan, found)
+
     return Forces(
         recording.name,
         first,
@@ -123,7 +127,8 @@ def forces(recording: Recording, config: Config) -> Forces:
         (speed[last] - speed[first]) / (every * GRID_S),
         mean(brake_on),
         ((energy[last] - energy[first]) / length[:, None]).T,
-        force,
+        by_way(motion),
+        by_way(inertia),
         mean(driven),
         mean(engine),
         known,
@@ -138,11 +143,11 @@ def _running(rate: Column) -> Column:
 
 def _motion_n(
     recording: Recording, config: Config, speed: Column
-) -> tuple[Column, Column, bool, bool]:
+) -> tuple[Column, Column, Column, bool, bool]:
     """Return Eq 4.11 whether the brake is on or not, (steps,).
 
-    And the force of the torque, whether the accelerometer is used, and
-    whether torque is known.
+    And its inertia, the force of the torque, whether the accelerometer is
+    used, and whether torque is known.
     """
     edited = edited_inputs(config)
     vehicle = Vehicle.of_config(edited.config.vehicle)
@@ -172,15 +177,15 @@ def _motion_n(
     if external is not None:
         force = force + external
     if accel_ms2 is None:
-        force = force - vehicle.effective_mass_kg * rate
+        inertia = vehicle.effective_mass_kg * rate
     else:
-        force = force - vehicle.mass_kg * accel_ms2
-        force = force - vehicle.rotating_mass_kg * rate
+        inertia = vehicle.mass_kg * accel_ms2 + vehicle.rotating_mass_kg * rate
+    force = force - inertia
     for role in AIDS:
         acting = held(role)
         if acting is not None:
             force = np.where(acting > 0.0, np.nan, force)
-    return force, driven, accel_ms2 is not None, known
+    return force, inertia, driven, accel_ms2 is not None, known
 
 
 def _step_means(recording: Recording, number: int) -> Column | None:

@@ -43,7 +43,7 @@ from bstm_daemon.analysis.gap.signatures import (
     Signature,
     candidates,
 )
-from bstm_daemon.analysis.gap.unnamed_friction import unnamed_friction
+from bstm_daemon.analysis.gap.unnamed_forces import unnamed_forces
 from bstm_daemon.analysis.identify.writing import Change, Entries
 from bstm_daemon.analysis.matching.learned import short
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
@@ -68,8 +68,8 @@ much as matched. That is no stand-in: a match may find a fifth of what is
 typical."""
 
 BEYOND: Final = 15.0
-"""By so much of the log-likelihood at least friction without a name must
-explain more for a name to be withheld."""
+"""By so much of the log-likelihood at least what has no name must explain more
+for a name to be withheld."""
 
 WEAK: Final = 2.0
 """From this strength on an effect counts as too weak for these drives."""
@@ -197,15 +197,15 @@ def find_force_gap(
 
 
 def _with_unnamed(comparison: ForceComparison, known: Linearised) -> Naming:
-    """Return what *known* says is missing, friction without a name beside.
+    """Return what *known* says is missing, or that it has no name.
 
-    That is told where nothing is named, and where it explains clearly more
-    than what is.
+    The latter is told where nothing is named, and where what has no name
+    explains clearly more than what is.
     """
     naming = name_effect(comparison.layout, known)
     if naming.answer == "nothing":
         naming = replace(naming, reason=NOTHING_SEEN)
-    beyond = replace(known, unknown=unnamed_friction(comparison))
+    beyond = replace(known, unknown=unnamed_forces(comparison))
     unnamed = name_effect(comparison.layout, beyond)
     evidence = unnamed.unknown_evidence
     names = naming.adoptable

@@ -137,7 +137,7 @@ def test_the_force_of_a_drive_is_its_equation_of_motion(
     )
     recording = Recording(drive, present, events, inputs)
 
-    force, driven, has_accelerometer, known = _motion_n(
+    force, inertia_n, driven, has_accelerometer, known = _motion_n(
         recording, config, speed
     )
 
@@ -151,6 +151,7 @@ def test_the_force_of_a_drive_is_its_equation_of_motion(
     assert driven == pytest.approx(400.0 / config.vehicle.wheel_radius_m)
     wanted = 400.0 / config.vehicle.wheel_radius_m - drag - inertia
     assert force == pytest.approx(wanted)
+    assert inertia_n == pytest.approx(inertia)
     assert has_accelerometer is (slope == "accelerometer")
     assert known
 
@@ -465,9 +466,9 @@ def test_an_adopted_mass_is_what_forces_are_measured_by() -> None:
     )
     assert comparison.base_n == pytest.approx(base)
     share = 0.12 * np.expm1(0.35) / 1.12
-    wanted = (heavier - base - share * comparison._noise_n) / 0.5
+    wanted = (heavier - base - share * comparison.noise_n) / 0.5
     assert comparison.changed_n(name) == pytest.approx(wanted, abs=1e-4)
-    assert np.std(comparison._noise_n) > 5.0
+    assert np.std(comparison.noise_n) > 5.0
     assert name not in learned_forces(config, [recording])
 
 

@@ -1,4 +1,4 @@
-"""Friction that differs with something, by hand and in a search."""
+"""Forces that differ with something, by hand and in a search."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from bstm_daemon.analysis.gap.signatures import (
     Signature,
     UnnamedHeat,
 )
-from bstm_daemon.analysis.gap.unnamed_friction import (
+from bstm_daemon.analysis.gap.unnamed_forces import (
+    MOTION,
     SHARE,
     _braked_s,
-    unnamed_friction,
+    unnamed_forces,
 )
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -48,7 +49,7 @@ def test_a_straight_line_in_what_it_goes_with() -> None:
     comparison.layout = identity
     whole_n = comparison.column("whole_n")
 
-    found = {one.regime: one.change for one in unnamed_friction(comparison)}
+    found = {one.regime: one.change for one in unnamed_forces(comparison)}
 
     def disc_k(number: int) -> Column:
         corners = config.disc_corners()
@@ -79,6 +80,12 @@ def test_a_straight_line_in_what_it_goes_with() -> None:
             [disc_k(i)[own] for i, own in enumerate(comparison.kept)]
         ),
     }
+    by_mass_n = found.pop("with acceleration and slope")
+    inertia_n = comparison.column("inertia_n")
+    assert by_mass_n == pytest.approx(SHARE * (inertia_n - comparison.noise_n))
+    # all of the motion but its resistance and torque, in each window
+    weight_n = comparison.vehicle.mass_kg * 9.81
+    assert np.abs(inertia_n).max() > 0.3 * weight_n
     assert found.keys() == drivers.keys()
     for name, change_n in found.items():
         assert abs(change_n @ whole_n) < 1e-6 * (whole_n @ whole_n)
@@ -104,9 +111,11 @@ def test_a_braking_lasts_since_it_began() -> None:
 
 
 def test_friction_that_never_differs_is_none() -> None:
-    """A drive without a braking, of a car without a disc."""
+    """A drive without a braking, of a car without a disc: motion alone."""
     empty: Any = SimpleNamespace(
         column=lambda _: np.zeros(3),
+        noise_n=np.zeros(3),
+        layout=SimpleNamespace(whiten=lambda column: column),
         kept=[np.ones(3, bool)],
         parts=[
             SimpleNamespace(
@@ -122,7 +131,7 @@ def test_friction_that_never_differs_is_none() -> None:
         config=SimpleNamespace(disc_corners=list),
     )
 
-    assert unnamed_friction(empty) == ()
+    assert [one.node for one in unnamed_forces(empty)] == [MOTION]
 
 
 @pytest.mark.parametrize(
@@ -162,7 +171,7 @@ def test_friction_without_a_name_is_told_where_it_explains_more(
         lambda _, found: told if found.unknown else plain,
     )
     heat = UnnamedHeat("friction", "with speed", own)
-    monkeypatch.setattr(heat_only, "unnamed_friction", lambda _: (heat,))
+    monkeypatch.setattr(heat_only, "unnamed_forces", lambda _: (heat,))
     comparison: Any = SimpleNamespace(layout=None, prior=np.ones(1))
 
     found = heat_only._with_unnamed(comparison, known)
@@ -184,3 +193,17 @@ def test_a_law_beyond_the_catalogue_is_not_taken_for_nothing() -> None:
 
     assert (found.answer, found.names) == ("unknown", ())
     assert found.unknown_place == "friction, with the discs' temperature"
+
+
+@pytest.mark.slow
+def test_a_mass_beyond_the_catalogue_is_not_taken_for_nothing() -> None:
+    config = matched_to(car()[0], {})
+    heavy = driven("rich", {"mass_error": 3.0})
+    twins = {"mass_error", "powertrain_torque_error"}
+
+    found = find_force_gap(config, [heavy], without=twins).naming
+
+    assert (found.answer, found.names) == ("unknown", ())
+    assert found.unknown_place == (
+        "force of the motion, with acceleration and slope"
+    )

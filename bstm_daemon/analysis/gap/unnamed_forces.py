@@ -1,8 +1,9 @@
-"""Friction that differs by a law without a name, the open set of forces.
+"""Forces that differ by a law without a name: their open set.
 
 Friction as a whole is a tunable. What is left may go with anything that the
 brake does or has done: a straight line in each of these stands for whatever
-law it is, so that an effect beyond the catalogue is not taken for nothing.
+law it is, so that an effect beyond the catalogue is not taken for nothing. So
+does a share of each part of the motion's force that is no tunable.
 """
 
 from collections.abc import Iterator
@@ -18,20 +19,34 @@ from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.estimator.corner_model import compile_corner
 
 FRICTION: Final = "friction"
-"""The place of what forces show."""
+MOTION: Final = "force of the motion"
+"""The places of what forces show."""
 
 SHARE: Final = 0.05
 """Of friction that counts as strength 1: what it differs by over one standard
-deviation of what it goes with."""
+deviation of what it goes with; and of a part of the motion's force."""
 
 SETTLED_S: Final = 10.0
 """From then on the friction of a held brake no longer changes."""
 
 
-def unnamed_friction(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
+def unnamed_forces(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
     """Return by what each changes the whitened residual of *comparison*."""
+    found = [
+        (FRICTION, what, change_n) for what, change_n in _friction(comparison)
+    ]
+    # what is measured by a larger mass has more noise: that is not less of it
+    inertia_n = comparison.column("inertia_n") - comparison.noise_n
+    found.append((MOTION, "acceleration and slope", SHARE * inertia_n))
+    return tuple(
+        UnnamedHeat(place, f"with {what}", comparison.layout.whiten(change_n))
+        for place, what, change_n in found
+    )
+
+
+def _friction(comparison: ForceComparison) -> Iterator[tuple[str, Column]]:
+    """Yield what friction may go with, and the force that it then changes."""
     whole_n = comparison.column("whole_n")
-    found = []
     for what, parts in _drivers(comparison):
         pairs = zip(parts, comparison.kept, strict=True)
         driver = np.concatenate([one[own] for one, own in pairs])
@@ -39,10 +54,7 @@ def unnamed_friction(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
         apart = driver - weight @ driver
         size = float(np.sqrt(weight @ apart**2))
         if size > 0.0:
-            change_n = SHARE * whole_n * apart / size
-            white = comparison.layout.whiten(change_n)
-            found.append(UnnamedHeat(FRICTION, f"with {what}", white))
-    return tuple(found)
+            yield what, SHARE * whole_n * apart / size
 
 
 def _drivers(
