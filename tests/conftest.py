@@ -24,9 +24,9 @@ from bstm_daemon.native.loader import VARIABLE, Kernel, load_module
 # machine is no defect, so that no example has a deadline. .ci/full searches
 # with --hypothesis-profile thorough; of a mutant the first failure is enough
 settings.register_profile(
-    "ci", derandomize=True, deadline=None, max_examples=40
+    "ci", derandomize=True, deadline=None, max_examples=25
 )
-settings.register_profile("local", deadline=None, max_examples=40)
+settings.register_profile("local", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.register_profile(
     "mutants",

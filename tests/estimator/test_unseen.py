@@ -434,9 +434,8 @@ def test_long_holes_come_to_the_balance_of_the_load(config: Config) -> None:
         assert unseen.nodes_k()[node] == pytest.approx(kelvin, abs=25.0)
 
 
-@pytest.mark.parametrize(
-    "proven_s", [100.0, pytest.param(None, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("proven_s", [100.0, None])
 def test_a_parked_time_that_is_not_proven_is_no_start(
     config: Config, proven_s: float | None
 ) -> None:

@@ -233,9 +233,8 @@ def test_a_change_is_said_in_plain_words() -> None:
         assert said_percent("change.disc_air", much) == words
 
 
-@pytest.mark.parametrize(
-    "factor", [0.65, pytest.param(1.5, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.65, 1.5])
 def test_a_value_that_has_changed_is_named_and_written(
     matched: Target, made: Callable[..., Recording], factor: float
 ) -> None:
