@@ -264,6 +264,7 @@ def test_a_sound_model_raises_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "record" / "kept").exists()
 
 
+@pytest.mark.slow
 def test_what_is_found_wrong_is_no_disagreement(tmp_path: Path) -> None:
     """A plug works loose: thrice the pressure, seen only once it is noise."""
     chance = random.Random(0)  # noqa: S311

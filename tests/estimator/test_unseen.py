@@ -184,6 +184,7 @@ def blind(config: Config) -> Drive:
     return drive
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [75.0, 600.0])
 def test_a_steady_load_goes_on_in_the_hole(
     config: Config, seconds: float

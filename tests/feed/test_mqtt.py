@@ -256,6 +256,7 @@ def test_state_is_retained_with_time_and_validity(
     assert values[rear]["DiscTemperature"] is None
 
 
+@pytest.mark.slow
 def test_every_message_arrives_over_a_killed_broker(
     broker: Mosquitto, feed: Feed, run: Run
 ) -> None:

@@ -151,6 +151,7 @@ def advised(descent: Results) -> Results:
     return Results(columns, descent.corners, descent.modelled)
 
 
+@pytest.mark.slow
 def test_bars_lie_where_it_was_advised(descent: Results) -> None:
     curves = DriveCurves()
     curves.write(advised(descent))
@@ -168,6 +169,7 @@ def test_bars_lie_where_it_was_advised(descent: Results) -> None:
     assert all(bar.y[2] is None for bar in bars)
 
 
+@pytest.mark.slow
 def test_panel_stands_under_the_pressure(descent: Results) -> None:
     rows = advised(descent)
     curves, statistics = DriveCurves(), DriveStatistics()

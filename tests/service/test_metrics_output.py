@@ -65,6 +65,7 @@ def taken() -> Iterator[socket.socket]:
         yield other
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_is_waited_for(
     tmp_path: Path, lines: Lines, taken: socket.socket
 ) -> None:

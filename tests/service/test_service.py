@@ -305,6 +305,7 @@ def test_a_feed_that_cannot_be_opened_ends_nothing(
     assert lines.peer.own("BSTM_Status")
 
 
+@pytest.mark.slow
 def test_without_publish_nothing_is_sent(run: Run, tmp_path: Path) -> None:
     quiet = car(
         tmp_path,

@@ -322,6 +322,7 @@ def test_a_path_that_the_model_has_little_of_is_tried_at_much(
     assert _change_strengths(tried, "change.disc_air") == (-0.5, 0.5)
 
 
+@pytest.mark.slow
 def test_more_of_a_path_may_have_another_form(
     config: Config, made: Callable[..., Recording]
 ) -> None:

@@ -158,6 +158,7 @@ def test_one_way_gives_no_rolling_resistance(
     assert found.values["drag_area_m2"].identified
 
 
+@pytest.mark.slow
 def test_held_value_stays_and_the_others_gain(
     logged: Logged, driving: Reader, example: Example
 ) -> None:

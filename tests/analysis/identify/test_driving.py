@@ -51,6 +51,7 @@ def test_no_pitch_where_none_is_seen() -> None:
     assert pitch_of(rate, 1.5 * rate, speed)[0] == 0.0
 
 
+@pytest.mark.slow
 def test_torque_is_none_where_the_line_is_open(
     logged: Logged, driving: Callable[..., Driving]
 ) -> None:
