@@ -236,9 +236,9 @@ class ForceComparison:
             )
             raise LogError(msg)
         self._columns: dict[str, Column] = {}
-        self.noise_n: Column = np.zeros(1)
-        """What the tunables leave of the residual, (n,)."""
         self._raw_n = self._residual(self.parts)
+        self.noise_n = np.zeros(len(self._raw_n))
+        """What the tunables leave of the residual, (n,)."""
         self.trials = trials(config, ()) if config.matched else {}
         self.steady_n = self._steady()
         self.tunables = self._tunables()

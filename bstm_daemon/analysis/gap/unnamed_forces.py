@@ -3,7 +3,7 @@
 Friction as a whole is a tunable. What is left may go with anything that the
 brake does or has done: a straight line in each of these stands for whatever
 law it is, so that an effect beyond the catalogue is not taken for nothing. So
-does a share of each part of the motion's force that is no tunable.
+does a share of what it takes to accelerate and lift the car.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ MOTION: Final = "force of the motion"
 
 SHARE: Final = 0.05
 """Of friction that counts as strength 1: what it differs by over one standard
-deviation of what it goes with; and of a part of the motion's force."""
+deviation of what it goes with; and of the car's inertia and weight."""
 
 SETTLED_S: Final = 10.0
 """From then on the friction of a held brake no longer changes."""
@@ -35,7 +35,7 @@ def unnamed_forces(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
     found = [
         (FRICTION, what, change_n) for what, change_n in _friction(comparison)
     ]
-    # what is measured by a larger mass has more noise: that is not less of it
+    # a mass scales the noise of the motion too: that explains nothing
     inertia_n = comparison.column("inertia_n") - comparison.noise_n
     found.append((MOTION, "acceleration and slope", SHARE * inertia_n))
     return tuple(

@@ -152,6 +152,18 @@ def test_the_force_of_a_drive_is_its_equation_of_motion(
     wanted = 400.0 / config.vehicle.wheel_radius_m - drag - inertia
     assert force == pytest.approx(wanted)
     assert inertia_n == pytest.approx(inertia)
+    # and over windows
+    inputs[:, :, CHANNELS.index("speed_ms")] = speed[:, None]
+    seen: Any = SimpleNamespace(
+        name="a",
+        drive=drive,
+        present=present,
+        thin=events,
+        thin_inputs_of=lambda _: inputs,
+    )
+    part = forces(seen, config)
+    assert part.inertia_n[:5] == pytest.approx(inertia)
+    assert part.motion_n[0] == pytest.approx(force[1], rel=1e-2)
     assert has_accelerometer is (slope == "accelerometer")
     assert known
 

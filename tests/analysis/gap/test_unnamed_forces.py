@@ -83,9 +83,7 @@ def test_a_straight_line_in_what_it_goes_with() -> None:
     by_mass_n = found.pop("with acceleration and slope")
     inertia_n = comparison.column("inertia_n")
     assert by_mass_n == pytest.approx(SHARE * (inertia_n - comparison.noise_n))
-    # all of the motion but its resistance and torque, in each window
-    weight_n = comparison.vehicle.mass_kg * 9.81
-    assert np.abs(inertia_n).max() > 0.3 * weight_n
+    assert np.abs(inertia_n).max() > 0.3 * comparison.vehicle.mass_kg * 9.81
     assert found.keys() == drivers.keys()
     for name, change_n in found.items():
         assert abs(change_n @ whole_n) < 1e-6 * (whole_n @ whole_n)
