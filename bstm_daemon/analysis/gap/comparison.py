@@ -8,6 +8,7 @@ error several times.
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -46,6 +47,7 @@ from bstm_daemon.model.effects.composed import (
 )
 from bstm_daemon.model.effects.effect import STRENGTH
 from bstm_daemon.model.effects.model import CornerModel, corrections_by_role
+from bstm_daemon.model.thermal.program import Program
 from bstm_daemon.roles import ROLE_INDEX
 
 POINT_S: Final = 10.0
@@ -65,6 +67,21 @@ class Form(EffectConfig):
         return effect.model_copy(
             update={"parameters": effect.parameters | self.parameters}
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """A configuration, and what a corner is by it."""
+
+    config: Config
+    model: CornerModel
+    program: Program
+
+    @classmethod
+    def of(cls, config: Config, corner: str) -> "Lane":
+        """Return the lane of *corner* by *config*."""
+        model = model_of(config, corner)
+        return cls(config, model, compiled_model(model))
 
 
 class Comparison(Layout):
@@ -186,13 +203,19 @@ class Comparison(Layout):
         configs = [self.config(x, effects) for x in points]
         drives = self.drives(effects)
         scales = np.exp(points[:, -1])
+        # all drives of a corner share them
+        lanes = {
+            corner: [Lane.of(config, corner) for config in configs]
+            for corner in dict.fromkeys(corner for _, corner in self.pairs)
+        }
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             jobs = {
-                pair: pool.submit(
+                (number, corner): pool.submit(
                     self._shown,
-                    *(drives[pair[0]], pair, configs, scales, each_settles),
+                    *(drives[number], (number, corner), lanes[corner]),
+                    *(scales, each_settles),
                 )
-                for pair in self.pairs
+                for number, corner in self.pairs
             }
             found = {pair: job.result() for pair, job in jobs.items()}
         return self.less_measured(configs[0], found)
@@ -248,31 +271,29 @@ class Comparison(Layout):
         self,
         drive: Drive,
         pair: tuple[int, str],
-        configs: Sequence[Config],
+        lanes: list[Lane],
         scales: Column,
         each_settles: bool,  # noqa: FBT001
     ) -> dict[str, Column]:
         """March the corner of *pair* over *drive*, see :meth:`sampled`."""
         corner = pair[1]
-        models = [model_of(config, corner) for config in configs]
-        programs = [compiled_model(model) for model in models]
         found: dict[str, Column] = {}
         # lanes share their inputs, so each scale is a march of its own
         for scale in dict.fromkeys(scales.tolist()):
-            lanes = np.flatnonzero(scales == scale)
+            places = np.flatnonzero(scales == scale)
             own = drive.with_power_times(scale)
-            model = models[lanes[0]]
-            variants = [programs[i] for i in lanes]
+            model = lanes[places[0]].model
+            variants = [lanes[i].program for i in places]
             settle = variants[: None if each_settles else 1]
             begin = [initial_temperatures(p, own, corner) for p in settle]
             result = march(
                 *(variants, own, corner, begin if each_settles else begin[0]),
                 nodes=[one.node for one in self.series],
             )
-            sampled = self.sampled(configs[0], pair[0], model, result)
+            sampled = self.sampled(lanes[0].config, pair[0], model, result)
             for node, values in sampled.items():
-                whole = (len(values), len(configs))
-                found.setdefault(node, np.empty(whole))[:, lanes] = values
+                whole = (len(values), len(lanes))
+                found.setdefault(node, np.empty(whole))[:, places] = values
         return found
 
     def sampled(
