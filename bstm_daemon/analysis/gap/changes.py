@@ -135,7 +135,11 @@ def can_vanish(name: str) -> bool:
 
 
 def are_twins(a: str, b: str) -> bool:
-    """Whether one of two candidates declares the other as its twin."""
+    """Whether one of two candidates declares the other as its twin.
+
+    A change of an effect's strength has the twins of the effect.
+    """
+    a, b = _effect_of(a) or a, _effect_of(b) or b
     return any(
         is_listed(one) and other in effect_class(one).twins
         for one, other in ((a, b), (b, a))
@@ -153,11 +157,17 @@ def largest(name: str) -> float:
 
 def path_of(name: str) -> str:
     """Return the heat path whose strength the change *name* is of, or ""."""
+    effect = _effect_of(name)
+    thermal = effect and effect_class(effect).kind == "thermal"
+    return effect if thermal else ""
+
+
+def _effect_of(name: str) -> str:
+    """Return the effect whose strength the change *name* is of, or ""."""
     section, _, key = name.removeprefix(PREFIX).partition(".")
     effect, _, parameter = key.partition(".")
-    if section != EFFECT or parameter != STRENGTH.name:
-        return ""
-    return effect if effect_class(effect).kind == "thermal" else ""
+    of_strength = section == EFFECT and parameter == STRENGTH.name
+    return effect if of_strength else ""
 
 
 def forms_of(

@@ -14,6 +14,17 @@ from bstm_daemon.analysis.gap.signatures import Linearised, Signature
 from bstm_daemon.analysis.statistics.evidence import Projector
 
 
+def test_a_change_of_an_effect_has_the_twins_of_the_effect() -> None:
+    change = "change.effect.bracket_conduction.strength"
+
+    assert are_twins(change, "caliper_bypass")
+    assert are_twins("caliper_bypass", change)
+    assert are_twins("backplate_loss", change)
+    assert not are_twins(change, "hub_heat")
+    # no strength of an effect
+    assert not are_twins("change.disc_mass", "disc_wear")
+
+
 @pytest.mark.parametrize("strength", [0.5, 2.0])
 def test_a_twin_that_makes_up_for_a_strength_is_no_second_effect(
     strength: float,
