@@ -17,8 +17,9 @@ class HubHeat(Effect):
 
     Shoes of a parking brake that drag take 5 to 30 Nm, a bearing with too
     much preload a few, more with speed. About half of the heat goes to the
-    disc, as late as hub and hat follow; the rest to the knuckle, and with it
-    to the bracket that is bolted there.
+    disc, as late as hub and hat follow, or the hat alone where its inside is
+    the drum; the rest to the knuckle, and with it to the bracket that is
+    bolted there.
     """
 
     number = 40
@@ -35,7 +36,13 @@ class HubHeat(Effect):
             "to bracket or caliper, of that to the disc",
         ),
     )
-    forms = ({"exponent": 1.0}, {"bracket_share": 1.0})
+    forms = (
+        {"exponent": 1.0},
+        {"bracket_share": 1.0},
+        # 1 kJ/K of hat, 2.5 W/K through its throat
+        {"time_s": 400.0},
+        {"time_s": 400.0, "bracket_share": 0.5},
+    )
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add sources at disc and bracket that follow the speed late."""
