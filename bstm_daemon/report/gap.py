@@ -23,7 +23,6 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     Shown,
     Shrink,
 )
-from bstm_daemon.analysis.gap.unnamed_forces import FRICTION, MOTION
 from bstm_daemon.analysis.statistics.series import rms
 from bstm_daemon.model.effects.catalogue import effect_class
 from bstm_daemon.model.effects.composed import is_composed, read
@@ -204,10 +203,7 @@ def answer_line(naming: Naming, what: str) -> str:
 
 def _place(naming: Naming) -> str:
     """Return where what has no name explains most, if that is known."""
-    node, _, when = naming.unknown_place.partition(", ")
-    if node in {FRICTION, MOTION}:
-        return f", {node} that differs {when}"
-    return f", heat at {node}, {when}" if node else ""
+    return f", {naming.unknown_place}" if naming.unknown_place else ""
 
 
 def any_effect(naming: Naming) -> bool:

@@ -29,10 +29,10 @@ from bstm_daemon.analysis.gap.naming import name_effect
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (
     Sensed,
-    UnnamedHeat,
     candidates,
     sensed,
 )
+from bstm_daemon.analysis.gap.unnamed import Unnamed
 from bstm_daemon.analysis.gap.workflow import compare
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def _stacked(one: Sensed, two: Sensed) -> Sensed:
     def terms(which: Mapping[str, np.ndarray], n: str, size: int) -> Any:
         return which.get(n, np.zeros((2, size)))
 
-    heats = [{(h.node, h.regime): h.change for h in s.unknown_k}
+    heats = [{(h.place, h.when): h.change for h in s.unknown_k}
              for s in (one, two)]  # fmt: skip
     return Sensed(
         np.concatenate((one.base_k, two.base_k)),
@@ -197,7 +197,7 @@ def _stacked(one: Sensed, two: Sensed) -> Sensed:
         },
         tuple(n for n in one.silent if n in two.silent),
         tuple(
-            UnnamedHeat(
+            Unnamed(
                 *place,
                 np.concatenate(
                     [

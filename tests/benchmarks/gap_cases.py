@@ -19,12 +19,14 @@ from gap_cars import FITTED, OF_TEMPERATURES, Garage, World, keep
 
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (
-    SILENT_K,
     Linearised,
     Sensed,
-    UnnamedHeat,
     candidates,
     sensed,
+)
+from bstm_daemon.analysis.gap.unnamed import (
+    SILENT_K,
+    Unnamed,
     unnamed_heats,
 )
 from bstm_daemon.analysis.gap.workflow import compare
@@ -188,7 +190,7 @@ class Evidence:
                 },
                 silent=(*whole.silent, *sorted(silent)),
                 unknown_k=tuple(
-                    one for one in whole.unknown_k if one.node in nodes
+                    one for one in whole.unknown_k if one.place in nodes
                 ),
             ),
         )
@@ -207,7 +209,7 @@ class Evidence:
                 {n: terms[:, own] for n, terms in whole.terms_k.items()},
                 whole.silent,
                 tuple(
-                    UnnamedHeat(one.node, one.regime, one.change[own])
+                    replace(one, change=one.change[own])
                     for one in whole.unknown_k
                 ),
             ),
@@ -297,7 +299,7 @@ def _made(
     tuple[Series, ...],
     Sensed | None,
     np.ndarray | None,
-    tuple[UnnamedHeat, ...],
+    tuple[Unnamed, ...],
     np.ndarray,
 ]:
     comparison = comparison_of(replace(case, world=case.world.driven), garage)

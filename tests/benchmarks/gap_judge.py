@@ -159,10 +159,10 @@ class Result:
             for name in self.names
         ]
         if self.answer == "unknown":
-            node, regime = self.place.split(", ")
-            said = [(_NODES.get(node, "?"), regime[0].upper())]
-            if regime == "driving":
-                said = [(said[0][0], "V")]
+            # a reading is at none
+            heat = self.place.removeprefix("heat at ")
+            node, _, regime = heat.partition(", ")
+            said = [(_NODES.get(node, "?"), _PHASES.get(regime, "?"))]
             if node == "disc" and regime == "braking":
                 said = [("DQ", "B")]
         return bool(said) and all(

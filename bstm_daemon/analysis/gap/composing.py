@@ -24,6 +24,7 @@ from bstm_daemon.analysis.gap.evidence import (
     cross_validated,
     explained_share,
     is_clearly_better,
+    missing_evidence,
     probabilities,
     weigh,
 )
@@ -347,8 +348,10 @@ def with_composed(
     """Return *known* and *naming* with a composed effect, if one is better.
 
     Where nothing is missing none is looked for. Each term pays for its words,
-    and no drive, predicted by the others, may contradict the first one. It
-    must be clearly better than what is named or most likely.
+    and no drive, predicted by the others, may contradict the first one: the
+    likeliest of those nearly as likely as any that none contradicts. It
+    must be clearly better than what is named or most likely, and likelier than
+    an error of a reading.
     """
     if not naming.found:
         return known, naming
@@ -361,32 +364,29 @@ def with_composed(
         found = search.best(chosen)
         if not found:
             break
+        if not terms:
+            found, validated = _not_contradicted(layout, known, found)
+            others = _as_likely([each for each, _ in found])
         one, signature = found[0]
         if one.log_evidence < NEXT_EVIDENCE or (
             terms and one.gain < NEXT_SHARE * terms[0].gain
         ):
             break
-        if not terms:
-            validated = cross_validated(layout, known, signature)
-            if min(validated.values(), default=0.0) < -AGAINST:
-                break
-            others = _as_likely([each for each, _ in found])
+        if min(validated.values(), default=0.0) < -AGAINST:
+            break
         terms.append(one)
         chosen.append(signature)
-    by_name = {one.name: one for one in known.signatures}
     rivals = naming.adoptable or naming.names[:1]
-    named = {
-        by_name[one.name]: one.strength
-        for one in naming.candidates
-        if one.name in rivals
-    }
-    listed = _gain(search.project, known, named)
+    listed = _listed_gain(search.project, known, naming)
     gain = _gain(search.project, known, dict.fromkeys(chosen, 1.0))
-    if not terms or (named and not is_clearly_better(gain, listed, CLEAR)):
+    evidence = sum(one.log_evidence for one in terms)
+    if (
+        not terms
+        or (rivals and not is_clearly_better(gain, listed, CLEAR))
+        or (not rivals and evidence <= _misread(search.project, known))
+    ):
         return known, naming
-    whole = replace(
-        terms[0], log_evidence=sum(one.log_evidence for one in terms)
-    )
+    whole = replace(terms[0], log_evidence=evidence)
     odds = probabilities([whole, *naming.candidates])
     names = tuple(one.name for one in terms)
     known = replace(known, signatures=(*known.signatures, *chosen))
@@ -412,6 +412,35 @@ def with_composed(
     )
 
 
+def _not_contradicted(
+    layout: Layout,
+    known: Linearised,
+    found: list[tuple[Candidate, Signature]],
+) -> tuple[list[tuple[Candidate, Signature]], dict[str, float]]:
+    """Return *found* from the first on that no drive contradicts.
+
+    Of those nearly as likely as the best, and what each drive says of it; all
+    of *found* where each is contradicted.
+    """
+    least = found[0][0].log_evidence - AS_LIKELY
+    by_first: dict[str, float] = {}
+    for i, (one, signature) in enumerate(found):
+        if one.log_evidence < least:
+            break
+        validated = cross_validated(layout, known, signature)
+        if min(validated.values(), default=0.0) >= -AGAINST:
+            return found[i:], validated
+        by_first = by_first or validated
+    return found, by_first
+
+
+def _misread(project: Projector, known: Linearised) -> float:
+    """Return the log Bayes factor of an error of a reading, -inf for none."""
+    if not known.readings:
+        return -np.inf
+    return missing_evidence(project, known.residual, known.readings)
+
+
 def _as_likely(found: Sequence[Candidate]) -> list[str]:
     """Return the terms nearly as likely as the first, each of another path."""
     best, *rest = found
@@ -421,6 +450,29 @@ def _as_likely(found: Sequence[Candidate]) -> list[str]:
         if one.log_evidence >= best.log_evidence - AS_LIKELY:
             by_path.setdefault(read(words).path, words)
     return [words for words in by_path.values() if words]
+
+
+def _listed_gain(
+    project: Projector, known: Linearised, naming: Naming
+) -> float:
+    """Return what is named explains, or the most likely of the catalogue.
+
+    The latter within what its strength can be.
+    """
+    if not naming.adoptable:
+        first = naming.names[:1]
+        own = (one.gain for one in naming.candidates if one.name in first)
+        return next(own, 0.0)
+    by_name = {one.name: one for one in known.signatures}
+    return _gain(
+        project,
+        known,
+        {
+            by_name[one.name]: one.strength
+            for one in naming.candidates
+            if one.name in naming.adoptable
+        },
+    )
 
 
 def _gain(

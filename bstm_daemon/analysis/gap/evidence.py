@@ -18,8 +18,8 @@ from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
-    UnnamedHeat,
 )
+from bstm_daemon.analysis.gap.unnamed import Unnamed
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
     Projector,
@@ -286,19 +286,19 @@ def unnamed_beside(
 
 
 def missing_evidence(
-    project: Projector, residual: Column, heats: Sequence[UnnamedHeat]
+    project: Projector, residual: Column, unnamed: Sequence[Unnamed]
 ) -> float:
-    """Return the log Bayes factor of heat without a name, wherever it is.
+    """Return the log Bayes factor of what has no name, wherever it is.
 
-    As likely before data: one heat alone, all those of one node, all of
-    them; each place as likely as the other. All at once alone would pay for
+    As likely before data: one alone, all those of one place, all of them;
+    each place as likely as the other. All at once alone would pay for
     a dozen strengths where one is missing.
     """
-    by_node: dict[str, list[Column]] = {}
-    for one in heats:
-        by_node.setdefault(one.node, []).append(one.change)
-    every = [one.change for one in heats]
-    kinds = ([[one] for one in every], list(by_node.values()), [every])
+    by_place: dict[str, list[Column]] = {}
+    for one in unnamed:
+        by_place.setdefault(one.place, []).append(one.change)
+    every = [one.change for one in unnamed]
+    kinds = ([[one] for one in every], list(by_place.values()), [every])
 
     def of(kind: Sequence[Sequence[Column]]) -> float:
         return mean_evidence(
@@ -317,9 +317,9 @@ def _log_evidence(
 
 
 def likeliest(
-    project: Projector, residual: Column, heats: Sequence[UnnamedHeat]
-) -> UnnamedHeat:
+    project: Projector, residual: Column, unnamed: Sequence[Unnamed]
+) -> Unnamed:
     """Return the one that alone explains most."""
     return max(
-        heats, key=lambda one: _log_evidence(project, residual, [one.change])
+        unnamed, key=lambda one: _log_evidence(project, residual, [one.change])
     )

@@ -121,6 +121,6 @@ def _terms_k(simulated: Sensed) -> dict[str, Column]:
         name: terms.sum(axis=0) for name, terms in simulated.terms_k.items()
     }
     return terms | {
-        f"heat at {one.node}, {one.regime}": one.change
+        f"heat at {one.place}, {one.when}": one.change
         for one in simulated.unknown_k
     }

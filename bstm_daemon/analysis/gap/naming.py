@@ -96,8 +96,8 @@ SMALL: Final = 0.2
 class Naming:
     """The answer.
 
-    ``unknown_evidence`` is the log Bayes factor of heat without a name, and
-    ``unknown_place`` where and when such heat alone explains most.
+    ``unknown_evidence`` is the log Bayes factor of what has no name, heat or
+    a reading, and ``unknown_place`` which of it alone explains most.
     ``names`` are the effects found, best first: one, up to three, or the
     members of a class; ``strengths`` are theirs. ``probability`` is that of
     the answer, ``odds`` of every candidate and of ``""``, nothing. ``sizes``
@@ -194,13 +194,19 @@ def name_effect(
         if found
         else None,
     )
-    if heats := linearised.unknown:
-        place = likeliest(project, linearised.residual, heats)
-        evidence = missing_evidence(project, linearised.residual, heats)
+    if linearised.unknown:
+        ways = [
+            missing_evidence(project, linearised.residual, unnamed)
+            for unnamed in (linearised.unknown, linearised.readings)
+            if unnamed
+        ]
+        everything = (*linearised.unknown, *linearised.readings)
         nothing = replace(
             nothing,
-            unknown_evidence=evidence,
-            unknown_place=f"{place.node}, {place.regime}",
+            unknown_evidence=mean_evidence(ways),
+            unknown_place=likeliest(
+                project, linearised.residual, everything
+            ).said,
         )
     best = found[0] if found else None
     if best and odds[""] <= GATE_NOTHING and best.z >= GATE_Z:

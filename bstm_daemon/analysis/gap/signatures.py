@@ -2,12 +2,6 @@
 
 A finite strength is simulated, not a derivative: many effects begin at a
 threshold. Between and beyond the strengths simulated, a parabola through 0.
-
-And of heat that no effect of the catalogue brings, the open set. For each node
-and regime a heat flow into the node that follows its excess over the air, or
-the brake power at the disc while braking. Together they stand for whatever is
-missing there, without a name. They decide whether anything is missing that no
-named effect explains.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -29,26 +23,21 @@ from bstm_daemon.analysis.gap.changes import (
 from bstm_daemon.analysis.gap.changes import STEP as STEP_OF_CHANGE
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.gap.residual_heat import REGIMES
-from bstm_daemon.analysis.matching.drives import Drive
-from bstm_daemon.analysis.matching.march import (
-    initial_temperatures,
-    march,
-    model_of,
+from bstm_daemon.analysis.gap.unnamed import (
+    SILENT_K,
+    Unnamed,
+    unnamed_heats,
+    unnamed_readings,
 )
-from bstm_daemon.analysis.matching.phases import STANDING_MS, braking
-from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.levenberg_marquardt import STEP
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.config.sections import Config, EffectConfig
 from bstm_daemon.errors import ConfigError
-from bstm_daemon.estimator.corner_model import compiled_model
 from bstm_daemon.model.effects.catalogue import (
     effect_class,
     effect_names,
     effects_of,
 )
-from bstm_daemon.model.thermal.program import compile_network
 
 NETWORK_STRENGTHS: Final[tuple[float, ...]] = (0.5, 1.5)
 HEAT_STRENGTHS: Final[tuple[float, ...]] = (1.0,)
@@ -64,22 +53,6 @@ AT_ONCE: Final = 16
 
 NO_FORM: Final[Mapping[str, float]] = MappingProxyType({})
 """That of an effect whose values are typical, or as the model has them."""
-
-SILENT_K: Final = 1e-3
-"""A candidate that nowhere changes the model by more is not excited."""
-
-TYPICAL_W_K: Final = {
-    "disc": 2.0,
-    "pad_front": 1.0,
-    "pad_back": 0.4,
-    "fluid": 0.4,
-}
-"""Heat per kelvin above the air that counts as strength 1."""
-
-OF_BRAKING: Final = 0.05
-"""Share of the brake power at the disc, likewise."""
-
-OTHER_W_K: Final = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,27 +87,19 @@ class Signature:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UnnamedHeat:
-    """A heat flow at a node in a regime; ``change`` (n,) of the residuals."""
-
-    node: str
-    regime: str
-    change: Column
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
     """Everything around the configured values, whitened.
 
     ``residual`` (n,), ``jacobian`` (n, p), signatures, the candidates that
-    these drives do not excite, and heat without a name.
+    these drives do not excite, and heats and readings without a name.
     """
 
     residual: Column
     jacobian: Column
     signatures: tuple[Signature, ...]
     silent: tuple[str, ...]
-    unknown: tuple[UnnamedHeat, ...]
+    unknown: tuple[Unnamed, ...]
+    readings: tuple[Unnamed, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +117,7 @@ class Sensed:
     jacobian_k: Column
     terms_k: Mapping[str, Column]
     silent: tuple[str, ...]
-    unknown_k: tuple[UnnamedHeat, ...]
+    unknown_k: tuple[Unnamed, ...]
     near: Mapping[str, float] = field(default_factory=dict)
     forms_k: Mapping[str, tuple[Column, ...]] = field(default_factory=dict)
     form_costs: Mapping[str, float] = field(default_factory=dict)
@@ -190,9 +155,15 @@ class Sensed:
                 for name, terms in self.terms_k.items()
             ),
             self.silent,
-            tuple(
-                UnnamedHeat(one.node, one.regime, layout.whiten(one.change))
-                for one in self.unknown_k
+            *(
+                tuple(
+                    replace(one, change=layout.whiten(one.change))
+                    for one in unnamed
+                )
+                for unnamed in (
+                    self.unknown_k,
+                    unnamed_readings(layout, self.base_k),
+                )
             ),
         )
 
@@ -407,51 +378,3 @@ def _strengths(name: str) -> tuple[float, ...]:
         return CHANGE_STRENGTHS
     on_heat = effect_class(name).kind == "heat"
     return HEAT_STRENGTHS if on_heat else NETWORK_STRENGTHS
-
-
-def unnamed_heats(
-    comparison: Comparison, base_k: Column
-) -> tuple[UnnamedHeat, ...]:
-    """Return what each would change in the residuals *base_k* (n,) [K]."""
-    nodes = list(dict.fromkeys(one.node for one in comparison.series))
-    found = []
-    for node in nodes:
-        for regime in REGIMES:
-            change = _apart(comparison, node, regime) - base_k
-            if float(np.abs(change).max()) > SILENT_K:
-                found.append(UnnamedHeat(node, regime, change))
-    return tuple(found)
-
-
-def _apart(comparison: Comparison, node: str, regime: str) -> Column:
-    """Return the residuals [K] with that heat, (n,)."""
-    shown = {}
-    config = comparison.config(comparison.start)
-    own = {s.drive: s for s in comparison.series if s.node == node}
-    for number, name in comparison.pairs:
-        drive = comparison.recordings[number].drive
-        model = model_of(config, name)
-        program = compile_network(model.network.with_extra_heat(node))
-        heat = np.zeros(drive.inputs.shape[:2])
-        if number in own:
-            heat[:] = _heat_w(drive, name, own[number], regime)[:, None]
-        initial = initial_temperatures(compiled_model(model), drive, name)
-        result = march([program], drive.with_extra_heat(heat), name, initial)
-        shown[number, name] = comparison.sampled(config, number, model, result)
-    return comparison.less_measured(config, shown)[:, 0]
-
-
-def _heat_w(drive: Drive, corner: str, series: Series, regime: str) -> Column:
-    braked = braking(drive, corner)
-    moving = drive.channel(corner, "speed_ms") > STANDING_MS
-    if regime == "braking" and series.node == "disc":
-        power = drive.channel(corner, "brake_power_w")
-        return np.asarray(OF_BRAKING * power * braked)
-    mask = {
-        "braking": braked,
-        "driving": moving & ~braked,
-        "parked": ~moving & ~braked,
-    }[regime]
-    rise = np.interp(drive.time_s, series.time_s, series.rise_k)
-    typical = TYPICAL_W_K.get(series.node, OTHER_W_K)
-    return np.asarray(typical * rise * mask)

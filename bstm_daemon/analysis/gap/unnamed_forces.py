@@ -13,7 +13,7 @@ import numpy as np
 
 from bstm_daemon.analysis.gap.force_balance import ForceComparison
 from bstm_daemon.analysis.gap.forces import Forces
-from bstm_daemon.analysis.gap.signatures import UnnamedHeat
+from bstm_daemon.analysis.gap.unnamed import Unnamed
 from bstm_daemon.analysis.matching.march import march
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -30,7 +30,7 @@ SETTLED_S: Final = 10.0
 """From then on the friction of a held brake no longer changes."""
 
 
-def unnamed_forces(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
+def unnamed_forces(comparison: ForceComparison) -> tuple[Unnamed, ...]:
     """Return by what each changes the whitened residual of *comparison*."""
     found = [
         (FRICTION, what, change_n) for what, change_n in _friction(comparison)
@@ -39,8 +39,9 @@ def unnamed_forces(comparison: ForceComparison) -> tuple[UnnamedHeat, ...]:
     inertia_n = comparison.column("inertia_n") - comparison.noise_n
     found.append((MOTION, "acceleration and slope", SHARE * inertia_n))
     return tuple(
-        UnnamedHeat(place, f"with {what}", comparison.layout.whiten(change_n))
+        Unnamed(place, f"with {what}", change, is_heat=False)
         for place, what, change_n in found
+        for change in [comparison.layout.whiten(change_n)]
     )
 
 

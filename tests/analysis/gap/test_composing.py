@@ -16,6 +16,9 @@ from bstm_daemon.analysis.gap.composing import (
     Response,
     Search,
     _as_likely,
+    _listed_gain,
+    _misread,
+    _not_contradicted,
     cost,
     with_composed,
 )
@@ -25,8 +28,10 @@ from bstm_daemon.analysis.gap.naming import Naming
 from bstm_daemon.analysis.gap.recording import recorded
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
+    Signature,
     signature_of,
 )
+from bstm_daemon.analysis.gap.unnamed import Unnamed
 from bstm_daemon.analysis.gap.workflow import compare, find_gap
 from bstm_daemon.analysis.identify.writing import write_changed
 from bstm_daemon.analysis.matching.drives import GRID_S
@@ -37,7 +42,7 @@ from bstm_daemon.analysis.matching.thermocouples import (
     lining_of,
 )
 from bstm_daemon.analysis.matching.tunables import TUNABLES, Target
-from bstm_daemon.analysis.statistics.evidence import FREE
+from bstm_daemon.analysis.statistics.evidence import FREE, Projector
 from bstm_daemon.config.reading import load_config
 from bstm_daemon.config.sections import EffectConfig
 from bstm_daemon.estimator.corner_model import compile_corner
@@ -244,6 +249,84 @@ def test_terms_of_other_paths_that_are_nearly_as_likely_are_told() -> None:
 
     assert _as_likely(found) == ["disc to fluid", "disc to air"]
     assert _as_likely(found[:2]) == []
+
+
+def candidate(name: str, evidence: float, gain: float = 1.0) -> Candidate:
+    return Candidate(name, 1.0, 0.1, gain, evidence, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("against", "left", "said"),
+    [
+        ({}, ("a", "b", "c", "d"), 1.0),
+        ({"a"}, ("b", "c", "d"), 2.0),
+        ({"a", "b"}, ("c", "d"), 3.0),
+        # d is too much less likely to be asked
+        ({"a", "b", "c"}, ("a", "b", "c", "d"), -4.0),
+    ],
+)
+def test_the_likeliest_that_no_drive_contradicts_is_the_first(
+    monkeypatch: pytest.MonkeyPatch,
+    against: set[str],
+    left: tuple[str, ...],
+    said: float,
+) -> None:
+    evidence = {"a": 20.0, "b": 18.0, "c": 17.0, "d": 16.9}
+    found: Any = [(candidate(name, e), name) for name, e in evidence.items()]
+    drives = {
+        name: {"one": -4.0 - i if name in against else 1.0 + i, "two": 9.0}
+        for i, name in enumerate(evidence)
+    }
+    monkeypatch.setattr(
+        composing, "cross_validated", lambda *of: drives[of[-1]]
+    )
+    unused: Any = None
+
+    rest, validated = _not_contradicted(unused, unused, found)
+
+    assert tuple(name for _, name in rest) == left
+    assert validated == {"one": said, "two": 9.0}
+
+
+def test_what_is_most_likely_explains_what_its_strength_allows() -> None:
+    """A name is fitted freely beside others; what is undecided is not."""
+    own, other = np.array([4.0, 0.0]), np.array([0.0, 2.0])
+    known = Linearised(
+        *(np.array([8.0, -6.0]), np.zeros((2, 1))),
+        tuple(
+            Signature(name, one, 0.0 * one, one, either_sign=False)
+            for name, one in (("own", own), ("other", other))
+        ),
+        *((), ()),
+    )
+    project = Projector(known.jacobian, np.ones(1))
+    naming = Naming(
+        *("undecided", ("own", "other"), 0.9),
+        (candidate("other", 3.0, 18.0), candidate("own", 2.0, 0.5)),
+        *({}, ""),
+    )
+
+    # -2 and 3 with a prior of 1.5: b^2 / (a^2 + 1.5^-2) / 2 each
+    free = 32.0**2 / (16.0 + FREE**-2) + 12.0**2 / (4.0 + FREE**-2)
+    named = naming.answered("name", ("own", "other"), 0.9, "")
+    assert _listed_gain(project, known, named) == pytest.approx(free / 2.0)
+    assert _listed_gain(project, known, naming) == 0.5
+    nothing = naming.answered("unknown", (), 0.9, "")
+    assert _listed_gain(project, known, nothing) == 0.0
+
+
+def test_an_error_of_a_reading_is_as_likely_as_it_explains() -> None:
+    one = np.array([0.0, 3.0, 4.0])
+    known = Linearised(-one, np.zeros((3, 1)), (), (), ())
+    project = Projector(known.jacobian, np.ones(1))
+
+    assert _misread(project, known) == -np.inf
+    reading = Unnamed("reading of disc", "always", one, is_heat=False)
+    # alone, all of one place and all are the same one: 25^2 / 26 / 2, less
+    # the logarithm of how much narrower its strength has become
+    there = replace(known, readings=(reading,))
+    expected = 0.5 * (25.0**2 / 26.0 - np.log(26.0))
+    assert _misread(project, there) == pytest.approx(expected)
 
 
 @pytest.mark.slow  # two searches and a fit

@@ -41,8 +41,8 @@ from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
-    UnnamedHeat,
 )
+from bstm_daemon.analysis.gap.unnamed import Unnamed
 from bstm_daemon.analysis.matching.problem import Series
 from bstm_daemon.analysis.statistics.evidence import (
     FREE,
@@ -209,7 +209,7 @@ def quiet() -> Linearised:
             Signature(name, change, 0.0 * change, change, either_sign=False)
         )
     heats = tuple(
-        UnnamedHeat(node, regime, rng.normal(0.0, 0.2, size))
+        Unnamed(node, regime, rng.normal(0.0, 0.2, size))
         for node in ("disc", "fluid")
         for regime in ("braking", "driving", "parked")
     )

@@ -10,7 +10,7 @@ import pytest
 
 from bstm_daemon.analysis.gap.comparison import with_effects
 from bstm_daemon.analysis.gap.evidence import Candidate, probabilities, weigh
-from bstm_daemon.analysis.gap.fitting import fit
+from bstm_daemon.analysis.gap.fitting import directions, fit
 from bstm_daemon.analysis.gap.holdout_comparison import (
     CONFIGURED,
     EXTENDED,
@@ -18,6 +18,7 @@ from bstm_daemon.analysis.gap.holdout_comparison import (
     show,
 )
 from bstm_daemon.analysis.gap.naming import Naming, cosine, name_effect
+from bstm_daemon.analysis.gap.searching import search
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
@@ -92,9 +93,9 @@ def test_noise_of_a_reading_is_no_error_of_its_gain(
 ) -> None:
     """Noise of 4 K, as great in the residual as in the reading."""
     comparison = compare(target, [made(noise_k=4.0)])
-    known = sensed(comparison, ["thermocouple_offset"]).whitened(comparison)
+    simulated = sensed(comparison, ["thermocouple_offset"])
 
-    found = name_effect(comparison, known)
+    _, found = search(comparison, simulated, directions(comparison))
 
     assert found.answer == "nothing"
     assert found.gate_z < 3.0

@@ -84,7 +84,9 @@ def test_an_effect_of_one_form_costs_no_choice() -> None:
         *((), ()),
         form_costs={"disc_hat": 0.4},
     )
-    layout: Any = SimpleNamespace(whiten=lambda k: 2.0 * k)
+    layout: Any = SimpleNamespace(
+        whiten=lambda k: 2.0 * k, series=(), edges=np.zeros(1, int)
+    )
 
     found = sensed.whitened(layout)
 

@@ -16,8 +16,8 @@ from bstm_daemon.analysis.gap.naming import Answer, Naming
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
-    UnnamedHeat,
 )
+from bstm_daemon.analysis.gap.unnamed import Unnamed
 from bstm_daemon.analysis.gap.unnamed_forces import (
     MOTION,
     SHARE,
@@ -49,7 +49,7 @@ def test_a_straight_line_in_what_it_goes_with() -> None:
     comparison.layout = identity
     whole_n = comparison.column("whole_n")
 
-    found = {one.regime: one.change for one in unnamed_forces(comparison)}
+    found = {one.when: one.change for one in unnamed_forces(comparison)}
 
     def disc_k(number: int) -> Column:
         corners = config.disc_corners()
@@ -129,7 +129,7 @@ def test_friction_that_never_differs_is_none() -> None:
         config=SimpleNamespace(disc_corners=list),
     )
 
-    assert [one.node for one in unnamed_forces(empty)] == [MOTION]
+    assert [one.place for one in unnamed_forces(empty)] == [MOTION]
 
 
 @pytest.mark.parametrize(
@@ -161,14 +161,14 @@ def test_friction_without_a_name_is_told_where_it_explains_more(
     told = replace(
         plain.answered("unknown", (), 0.9, "told"),
         unknown_evidence=evidence,
-        unknown_place="friction, with speed",
+        unknown_place="friction that differs with speed",
     )
     monkeypatch.setattr(
         heat_only,
         "name_effect",
         lambda _, found: told if found.unknown else plain,
     )
-    heat = UnnamedHeat("friction", "with speed", own)
+    heat = Unnamed("friction", "with speed", own, is_heat=False)
     monkeypatch.setattr(heat_only, "unnamed_forces", lambda _: (heat,))
     comparison: Any = SimpleNamespace(layout=None, prior=np.ones(1))
 
@@ -177,7 +177,7 @@ def test_friction_without_a_name_is_told_where_it_explains_more(
     assert found.answer == answer
     if named and answer == "unknown":
         assert found.reason == (
-            "friction, with speed explains more than friction_fade"
+            "friction that differs with speed explains more than friction_fade"
         )
         assert found.probability == pytest.approx(0.9)
 
@@ -190,7 +190,9 @@ def test_a_law_beyond_the_catalogue_is_not_taken_for_nothing() -> None:
     found = find_force_gap(config, [hot], without={"friction_fade"}).naming
 
     assert (found.answer, found.names) == ("unknown", ())
-    assert found.unknown_place == "friction, with the discs' temperature"
+    assert found.unknown_place == (
+        "friction that differs with the discs' temperature"
+    )
 
 
 @pytest.mark.slow
@@ -203,5 +205,5 @@ def test_a_mass_beyond_the_catalogue_is_not_taken_for_nothing() -> None:
 
     assert (found.answer, found.names) == ("unknown", ())
     assert found.unknown_place == (
-        "force of the motion, with acceleration and slope"
+        "force of the motion that differs with acceleration and slope"
     )
