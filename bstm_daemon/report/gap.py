@@ -162,6 +162,7 @@ def cause(naming: Naming) -> str:
         if is_listed(name):
             text = effect_class(name).description
         causes.append(f"{text[0].lower()}{text[1:]}".rstrip(".?"))
+    unnamed = naming.unknown_place.replace("_", " ")
     return {
         "nothing": "no missing effect is visible",
         "name": f"likely cause: {' and '.join(causes)}",
@@ -170,7 +171,10 @@ def cause(naming: Naming) -> str:
             "none of the known effects explains it; best description: "
             f"{' and '.join(causes)}"
         ),
-        "unknown": "none of the known effects explains it",
+        "unknown": (
+            "none of the known effects explains it"
+            f"{'; most like it: ' * bool(unnamed)}{unnamed}"
+        ),
         "undecided": "the drives do not decide which effect is missing",
     }[naming.answer]
 

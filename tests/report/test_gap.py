@@ -184,6 +184,14 @@ def test_the_page_begins_with_a_sentence_for_a_person() -> None:
         "While driving the model has 122 kJ too much heat between the disc "
         "and the pad front; none of the known effects explains it;"
     )
+    of_front = replace(
+        naming("unknown"),
+        unknown_place="reading of pad_front that differs with its excess",
+    )
+    assert (
+        "; none of the known effects explains it; most like it: reading of "
+        "pad front that differs with its excess;"
+    ) in sentence(gap(link, of_front))
     fit: Any = SimpleNamespace(strengths={"pad_wear": 1.0})
     open_one = replace(
         gap(place, naming("undecided", candidate("pad_wear"))), fit=fit
