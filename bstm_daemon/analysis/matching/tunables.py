@@ -193,7 +193,8 @@ TUNABLES: Final[dict[str, Tunable]] = {
         Tunable("thermal.pad_static_loss_w_k", 0.01, 3.0, 0.5, "W/K"),
         Tunable("thermal.gap_conductance_w_m2k", 5.0, 400.0, 0.4, "W/(m2 K)"),
         Tunable("pad.conductivity_w_mk", 0.5, 5.0, 0.15, "W/(m K)"),
-        Tunable("pad.heat_capacity_j_kgk", 800.0, 1300.0, 0.08, "J/(kg K)"),
+        # linings have 800 to 1300; a lump that stands for one may store less
+        Tunable("pad.heat_capacity_j_kgk", 600.0, 1300.0, 0.08, "J/(kg K)"),
         *(
             Tunable(
                 strength_key(name),
