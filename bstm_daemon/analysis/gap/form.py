@@ -120,7 +120,4 @@ def _terms_k(simulated: Sensed) -> dict[str, Column]:
     terms = {
         name: terms.sum(axis=0) for name, terms in simulated.terms_k.items()
     }
-    return terms | {
-        f"heat at {one.place}, {one.when}": one.change
-        for one in simulated.unknown_k
-    }
+    return terms | {one.said: one.change for one in simulated.unknown_k}

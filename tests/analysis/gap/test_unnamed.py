@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from bstm_daemon.analysis.gap.evidence import AHEAD, likeliest
 from bstm_daemon.analysis.gap.fitting import directions
 from bstm_daemon.analysis.gap.searching import search
 from bstm_daemon.analysis.gap.signatures import sensed
@@ -21,6 +22,7 @@ from bstm_daemon.analysis.gap.unnamed import (
 )
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.thermocouples import Thermocouple
+from bstm_daemon.analysis.statistics.evidence import Projector
 
 from ...made_drives import AIR_K  # noqa: TID252  (no package)
 
@@ -74,6 +76,26 @@ def test_heat_is_said_to_be_at_its_node() -> None:
     heat = Unnamed("disc", "parked", np.zeros(1))
 
     assert heat.said == "heat at disc, parked"
+
+
+@pytest.mark.parametrize(
+    ("error", "place"), [(4.0, "disc"), (4.6, "reading of disc")]
+)
+def test_a_reading_is_told_where_it_is_clearly_ahead_of_heat(
+    error: float, place: str
+) -> None:
+    heat = Unnamed("disc", "parked", np.array([1.0, 0.0]))
+    reading = Unnamed(
+        "reading of disc", "always", np.array([0.0, 1.0]), is_heat=False
+    )
+    project = Projector(np.zeros((2, 1)), np.ones(1))
+
+    found = likeliest(project, np.array([-2.8, -error]), [reading, heat])
+
+    # x^2 / 4 each, the rest is alike
+    ahead = (error**2 - 2.8**2) / 4.0
+    assert (ahead > AHEAD) == (place == "reading of disc")
+    assert found.place == place
 
 
 @pytest.mark.slow
