@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 RIG = Path(__file__).resolve().parent
 ROOT = RIG.parents[1]
-CUTS = int(os.environ.get("BSTM_POWER_CUTS", "4"))
+CUTS = int(os.environ.get("BSTM_POWER_CUTS", "2"))
 INTERVAL_S = 0.2
 SAVE_S = 0.5
 """A save, the cycle that asks for it and the way of a line of the clock."""
