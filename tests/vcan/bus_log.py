@@ -10,7 +10,7 @@ from bstm_daemon.bus.output.layout import own_ids
 from bstm_daemon.replay.frames import publications
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from typing import Any
 
     from bstm_daemon.bus.signals.signal_map import SignalMap
@@ -27,6 +27,9 @@ GRID_US: Final = 100_000
 
 Line = tuple[int, str]
 """Stamp [us]; id and data as candump writes them."""
+
+Cycles = dict[int, list[str]]
+"""Grid line [us] to the frames sent for it."""
 
 
 def lines_of(path: Path) -> list[Line]:
@@ -55,7 +58,7 @@ def write_lines(path: Path, lines: list[Line], channel: str) -> Path:
     return path
 
 
-def cycles_of(lines: list[Line]) -> dict[int, list[str]]:
+def cycles_of(lines: list[Line]) -> Cycles:
     """Return what the service sent in *lines* by the grid line [us].
 
     Up to the last frame of others: what says goodbye belongs to no line.
@@ -83,7 +86,7 @@ def replayed_cycles(
     log: Path,
     state: Mapping[str, Any],
     sent: set[int],
-) -> dict[int, list[str]]:
+) -> Cycles:
     """Return the frames of a replay of *log* by the grid line [us].
 
     A busy machine makes a service leave out a line: its frames go out with
@@ -107,3 +110,42 @@ def replayed_cycles(
                 ]
                 newest = {}
     return found
+
+
+def uncounted(frame: str) -> str:
+    """Return *frame* without CRC and counter."""
+    can_id, _, data = frame.partition("#")
+    return f"{can_id}#{data[2]}{data[4:]}"
+
+
+def at_their_lines(
+    sent: Cycles, begin: int, end: int, replay: Callable[[set[int]], Cycles]
+) -> tuple[Cycles, Cycles]:
+    """Return what was *sent* and replayed for the lines in [begin, end).
+
+    A busy machine may send a cycle after the next line, which it leaves out:
+    it is that of the line before if only there the replay says the same.
+    """
+    moved: set[int] = set()
+    while True:
+        replayed = replay(set(sent))
+        lines = [us for us in sent if begin <= us < end]
+        wrong = next(
+            (
+                us
+                for us in lines
+                if [*map(uncounted, sent[us])]
+                != [*map(uncounted, replayed[us])]
+            ),
+            None,
+        )
+        before = None if wrong is None else wrong - GRID_US
+        if before is None or before in sent or wrong in moved:
+            return (
+                {us: sent[us] for us in lines},
+                {us: replayed[us] for us in lines},
+            )
+        moved.add(before)
+        sent = {
+            before if us == wrong else us: cycle for us, cycle in sent.items()
+        }

@@ -17,10 +17,13 @@ from bstm_daemon.simulation.recorder import Encoder, write_candump
 from .bus_log import (
     GRID_US,
     ROOT,
+    Cycles,
+    at_their_lines,
     cycles_of,
     is_own,
     lines_of,
     replayed_cycles,
+    uncounted,
     write_lines,
 )
 from .conftest import configured, receivers
@@ -104,10 +107,9 @@ def pads(frames: list[str]) -> dict[str, float]:
     return found
 
 
-def uncounted(frame: str) -> str:
-    """Return *frame* without CRC and counter."""
-    can_id, _, data = frame.partition("#")
-    return f"{can_id}#{data[2]}{data[4:]}"
+def in_order(cycles: Cycles) -> list[str]:
+    """Return the frames of *cycles*."""
+    return [frame for cycle in cycles.values() for frame in cycle]
 
 
 def hot_state(running: Daemon, path: Path) -> Path:
@@ -173,19 +175,21 @@ def test_live_it_does_what_replay_says(
     heard = write_lines(tmp_path / "inputs.log", inputs, vcan0)
     document = read(start).document
     assert document is not None
-    sent = cycles_of(lines)
-    steps = [us for us in sent if inputs[0][0] <= us < inputs[-1][0] - GRID_US]
+    begin, end = inputs[0][0], inputs[-1][0] - GRID_US
+
+    def replay(config: Path, sent: set[int]) -> Cycles:
+        return replayed_cycles(*load_vehicle(config), heard, document, sent)
+
+    sent, replayed = at_their_lines(
+        cycles_of(lines), begin, end, lambda at: replay(adopted, at)
+    )
+    steps = [*sent]
     assert len(steps) > 0.8 * (steps[-1] - steps[0]) / GRID_US > 50
-    replayed = {}
-    for config in (adopted, source):
-        frames = replayed_cycles(
-            *load_vehicle(config), heard, document, set(sent)
-        )
-        replayed[config] = [frame for us in steps for frame in frames[us]]
-    live = [frame for us in steps for frame in sent[us]]
     # counters go by what was sent before the first frame of others
-    assert [*map(uncounted, live)] == [*map(uncounted, replayed[adopted])]
-    ends = pads(live), pads(replayed[source])
+    live, same = in_order(sent), in_order(replayed)
+    assert [*map(uncounted, live)] == [*map(uncounted, same)]
+    without = replay(source, set(steps))
+    ends = pads(live), pads(in_order(without))
     assert len(ends[0]) == 4
     for name, with_effect_c in ends[0].items():
         assert with_effect_c > ends[1][name] + 20.0, name

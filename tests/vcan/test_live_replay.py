@@ -24,6 +24,7 @@ from bstm_daemon.simulation.recorder import Encoder, write_candump
 from .bus_log import (
     GRID_US,
     ROOT,
+    at_their_lines,
     cycles_of,
     is_own,
     lines_of,
@@ -124,12 +125,14 @@ def test_a_recording_replays_to_the_same_frames(
     config, signal_map = load_vehicle(car)
     document = read(Path(start)).document
     assert document is not None
-    sent = cycles_of(bus)
-    lines = [us for us in sent if inputs[0][0] <= us < inputs[-1][0] - GRID_US]
-    replayed = replayed_cycles(config, signal_map, others, document, set(sent))
+    sent, replayed = at_their_lines(
+        cycles_of(bus),
+        *(inputs[0][0], inputs[-1][0] - GRID_US),
+        lambda at: replayed_cycles(config, signal_map, others, document, at),
+    )
+    lines = [*sent]
     assert len(lines) > 0.8 * (lines[-1] - lines[0]) / GRID_US > 70
-    live = [frame for us in lines for frame in sent[us]]
-    assert live == [frame for us in lines for frame in replayed[us]]
+    assert sent == replayed
 
     # and the log that was played gives the same temperatures
     original = tmp_path / "original.log"
@@ -138,7 +141,7 @@ def test_a_recording_replays_to_the_same_frames(
     )
     channel = config.bus[config.publishing_bus].channel
     write_frames(ticks, channel, original)
-    compare_ends(original, live)
+    compare_ends(original, [frame for us in lines for frame in sent[us]])
 
 
 def compare_ends(original: Path, live: list[str]) -> None:
