@@ -62,22 +62,22 @@ def cycles_of(lines: list[Line]) -> Cycles:
     """Return what the service sent in *lines* by the grid line [us].
 
     Up to the last frame of others: what says goodbye belongs to no line.
-    Its first frame is that of ``BSTM_Status``, of the lowest id. Frames go
-    out after their line and before the next; of two cycles within one line
-    the first is that of the line before, which was late.
+    Its first frame is that of ``BSTM_Status``, of the lowest id. A cycle goes
+    out after its line: it is that of the last one before it, or of an
+    earlier one if the next cycle has that line.
     """
-    found: list[tuple[int, list[str]]] = []
+    sent: list[tuple[int, list[str]]] = []
     end = max(i for i, line in enumerate(lines) if not is_own(line))
     for us, frame in filter(is_own, lines[:end]):
         if frame.startswith("5B0#"):
-            line = us // GRID_US * GRID_US
-            if found and found[-1][0] == line:
-                found[-1] = line - GRID_US, found[-1][1]
-            found.append((line, []))
-        found[-1][1].append(frame)
-    cycles = dict(found)
-    assert len(cycles) == len(found)
-    return cycles
+            sent.append((us // GRID_US * GRID_US, []))
+        sent[-1][1].append(frame)
+    found: Cycles = {}
+    latest = lines[end][0]
+    for line, cycle in reversed(sent):
+        latest = min(line, latest - GRID_US) if found else line
+        found[latest] = cycle
+    return dict(reversed(found.items()))
 
 
 def replayed_cycles(
