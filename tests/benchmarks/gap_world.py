@@ -97,6 +97,7 @@ class World(ABC):
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder.resolve()
         self.leaves: dict[int, dict[tuple[str, str], tuple[float, int]]] = {}
+        self.errors: dict[int, dict[tuple[str, str], float]] = {}
 
     @abstractmethod
     def control(self, seed: int) -> Case:
@@ -145,24 +146,36 @@ class World(ABC):
 
     def detectable(self, case: Case) -> bool:
         """Return whether the effect stands out of the match's own error."""
-        matched = self.matched(case.seed)
         control = self.made(self.control(case.seed))
-        vehicle = load_config(matched)
         worst = 0.0
-        for log in sorted(control.glob("test*.log")):
-            run = replay(log, vehicle, start="cold", every_s=1.0).columns
-            # the truth counts from the start of the log
-            time_s = run["time_s"] - run["time_s"][0]
+        for (log, node), off_k in self.off_k(case.seed).items():
             truth, changed = (
-                np.load(folder / "truth" / f"{log.stem}.npz")
+                np.load(folder / "truth" / f"{log}.npz")
                 for folder in (control, self.made(case))
             )
-            for node, column in NODES.items():
-                ours = np.interp(truth["t"], time_s, run[f"FL.{column}"])
-                off_k = rms(ours - truth[node])
-                own = np.interp(truth["t"], changed["t"], changed[node])
-                worst = max(worst, rms(own - truth[node]) / off_k)
+            own = np.interp(truth["t"], changed["t"], changed[node])
+            worst = max(worst, rms(own - truth[node]) / off_k)
         return worst >= DETECTABLE
+
+    def off_k(self, seed: int) -> dict[tuple[str, str], float]:
+        """Return the RMS error [K] of car *seed*'s match without an effect.
+
+        By drive and node.
+        """
+        if seed not in self.errors:
+            matched = self.matched(seed)
+            control = self.made(self.control(seed))
+            vehicle = load_config(matched)
+            self.errors[seed] = found = {}
+            for log in sorted(control.glob("test*.log")):
+                run = replay(log, vehicle, start="cold", every_s=1.0).columns
+                # the truth counts from the start of the log
+                time_s = run["time_s"] - run["time_s"][0]
+                truth = np.load(control / "truth" / f"{log.stem}.npz")
+                for node, column in NODES.items():
+                    ours = np.interp(truth["t"], time_s, run[f"FL.{column}"])
+                    found[log.stem, node] = rms(ours - truth[node])
+        return self.errors[seed]
 
     def limits(self, case: Case, found: dict[str, Any]) -> list[str]:
         """Return by how much a gap as *found* can shrink at the most."""
