@@ -76,9 +76,8 @@ each_drive = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.parametrize(
-    "start", [pytest.param("cold", marks=pytest.mark.full), "unknown"]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("start", ["cold", "unknown"])
 @each_drive
 def test_nothing_that_is_decided_depends_on_which_members_are_marched(
     log: Path, start: str, monkeypatch: pytest.MonkeyPatch

@@ -110,6 +110,7 @@ def test_energy_balance_closes_for_every_effect(lane_inputs: Inputs) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.full
 def test_compiled_march_is_the_same(lane_inputs: Inputs) -> None:
     reality = extension()
     if reality is None:
