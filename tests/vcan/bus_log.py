@@ -31,6 +31,10 @@ Line = tuple[int, str]
 Cycles = dict[int, list[str]]
 """Grid line [us] to the frames sent for it."""
 
+MOST_LATE: Final = 5
+"""Cycles that a busy machine may send a line late; a service that always does
+is wrong."""
+
 
 def lines_of(path: Path) -> list[Line]:
     """Return the lines of a log in candump's format."""
@@ -73,10 +77,10 @@ def cycles_of(lines: list[Line]) -> Cycles:
             sent.append((us // GRID_US * GRID_US, []))
         sent[-1][1].append(frame)
     found: Cycles = {}
-    latest = lines[end][0]
+    following = (lines[end][0] // GRID_US + 1) * GRID_US
     for line, cycle in reversed(sent):
-        latest = min(line, latest - GRID_US) if found else line
-        found[latest] = cycle
+        following = min(line, following - GRID_US)
+        found[following] = cycle
     return dict(reversed(found.items()))
 
 
@@ -126,7 +130,7 @@ def at_their_lines(
     A busy machine may send a cycle after the next line, which it leaves out:
     it is that of the line before if only there the replay says the same.
     """
-    moved: set[int] = set()
+    moved = 0
     while True:
         replayed = replay(set(sent))
         lines = [us for us in sent if begin <= us < end]
@@ -140,12 +144,12 @@ def at_their_lines(
             None,
         )
         before = None if wrong is None else wrong - GRID_US
-        if before is None or before in sent or wrong in moved:
+        if before is None or before in sent or moved == MOST_LATE:
             return (
                 {us: sent[us] for us in lines},
                 {us: replayed[us] for us in lines},
             )
-        moved.add(before)
+        moved += 1
         sent = {
             before if us == wrong else us: cycle for us, cycle in sent.items()
         }
