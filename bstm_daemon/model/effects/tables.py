@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 
-from bstm_daemon.model.effects.model import Parameter
+from bstm_daemon.config.sections import CornerConfig
+from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
 from bstm_daemon.model.thermal.network import Factor, value
 from bstm_daemon.model.thermal.table import Table
 from bstm_daemon.roles import MEASURED_NODES
@@ -52,3 +53,29 @@ def sensors_of(number: float) -> tuple[str, ...]:
     if number < 1.0:
         return MEASURED_NODES
     return (MEASURED_NODES[round(number) - 1],)
+
+
+def excess_correction(
+    inputs: InputModel,
+    corner: CornerConfig,
+    sensor: float,
+    *,
+    gain: float,
+    offset_k: float = 0.0,
+) -> InputModel:
+    """Return *inputs* with readings of *corner* put right.
+
+    Those of :data:`SENSOR` = *sensor*, which read *gain* times the excess over
+    20 degC and *offset_k* [K] besides.
+    """
+    zero_k = ROOM_K + offset_k
+    return inputs.with_correction(
+        *(
+            Correction(
+                f"temp_{corner.name.lower()}_{node}",
+                1.0 / gain,
+                ROOM_K - zero_k / gain,
+            )
+            for node in sensors_of(sensor)
+        )
+    )

@@ -404,11 +404,31 @@ def test_one_sensor_errs_alone(car: Callable[..., Config]) -> None:
 
     assert lag_s == {"disc": 15.0}
     for name in ("thermocouple_lag", "thermocouple_offset"):
-        assert [sensors_of(f["sensor"]) for f in effect_class(name).forms] == [
+        asked = {sensors_of(f["sensor"]) for f in effect_class(name).forms}
+        assert asked == {
             (node,) for node in MEASURED_NODES if node != "disc_2"
-        ]
+        }
     assert {one.role for one in high.corrections} == {
         f"temp_{corner}_fluid" for corner in ("fl", "fr", "rl", "rr")
+    }
+
+
+def test_a_loose_sensor_reads_less_of_what_is_above_the_room(
+    car: Callable[..., Config],
+) -> None:
+    """Strength 2 at a loss of 0.1: 80 of 100 K are read; at 20 degC all."""
+    loose = car("ff", "thermocouple_lag", strength=2.0, sensor=1.0, loss=0.1)
+    (own,) = [
+        one
+        for one in edited_inputs(loose).corrections
+        if one.role == "temp_fl_disc"
+    ]
+
+    assert own.gain * (293.15 + 80.0) + own.offset == pytest.approx(393.15)
+    assert own.gain * 293.15 + own.offset == pytest.approx(293.15)
+    assert corner_model(loose, loose.corner[0]).lag_s == {"disc": 30.0}
+    assert {one.role for one in edited_inputs(loose).corrections} == {
+        f"temp_{corner}_disc" for corner in ("fl", "fr", "rl", "rr")
     }
 
 

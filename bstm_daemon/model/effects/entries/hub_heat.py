@@ -42,6 +42,9 @@ class HubHeat(Effect):
         # 1 kJ/K of hat, 2.5 W/K through its throat
         {"time_s": 400.0},
         {"time_s": 400.0, "bracket_share": 0.5},
+        # the knuckle has the outer race and the anchor of the shoes
+        {"time_s": 400.0, "bracket_share": 1.0},
+        {"time_s": 400.0, "bracket_share": 1.7},
     )
 
     def edit_network(self, model: CornerModel) -> Network:

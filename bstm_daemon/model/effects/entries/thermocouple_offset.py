@@ -2,12 +2,11 @@
 
 from bstm_daemon.config.sections import CornerConfig
 from bstm_daemon.model.effects.effect import Effect
-from bstm_daemon.model.effects.model import Correction, InputModel, Parameter
+from bstm_daemon.model.effects.model import InputModel, Parameter
 from bstm_daemon.model.effects.tables import (
     EACH_SENSOR,
-    ROOM_K,
     SENSOR,
-    sensors_of,
+    excess_correction,
 )
 
 
@@ -35,15 +34,10 @@ class ThermocoupleOffset(Effect):
         self, inputs: InputModel, corner: CornerConfig
     ) -> InputModel:
         """Undo offset and gain of the thermocouples of *corner*."""
-        gain = 1.0 + self.scaled("gain")
-        zero = ROOM_K + self.scaled("offset_k")
-        return inputs.with_correction(
-            *(
-                Correction(
-                    f"temp_{corner.name.lower()}_{node}",
-                    1.0 / gain,
-                    ROOM_K - zero / gain,
-                )
-                for node in sensors_of(self["sensor"])
-            )
+        return excess_correction(
+            inputs,
+            corner,
+            self["sensor"],
+            gain=1.0 + self.scaled("gain"),
+            offset_k=self.scaled("offset_k"),
         )
