@@ -32,9 +32,9 @@ class ThermocoupleLag(Effect):
         Parameter("loss", "1", 0.0, 0.18, 0.0, "of the excess over 20 degC"),
         SENSOR,
     )
-    forms = tuple(
+    forms = EACH_SENSOR + tuple(
         {**sensor, "loss": loss}
-        for loss in (0.0, 0.05, 0.15)
+        for loss in (0.05, 0.15)
         for sensor in EACH_SENSOR
     )
 
