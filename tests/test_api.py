@@ -118,6 +118,7 @@ def test_nothing_is_loaded_before_it_is_used() -> None:
     assert "'config'" in done.stdout
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_the_blocks_of_the_page_run(
     folder: Path, capsys: pytest.CaptureFixture[str]

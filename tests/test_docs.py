@@ -169,6 +169,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         assert (tmp_path / "site" / f"{name}.html").exists()
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_the_tutorial_runs(tmp_path: Path) -> None:
     """Its wrong disc is seen, and the sound one is not."""

@@ -134,7 +134,8 @@ def test_without_a_match_no_name_is_given(
     assert not new.exists()
 
 
-@pytest.mark.slow  # two searches
+@pytest.mark.full  # two searches
+@pytest.mark.slow
 def test_what_does_not_shrink_is_not_written(
     log: Path,
     tmp_path: Path,

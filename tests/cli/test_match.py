@@ -247,7 +247,8 @@ def test_only_cooling_writes_only_cooling(log: Path, tmp_path: Path) -> None:
     assert after.cooling.s_per_s != before.cooling.s_per_s
 
 
-@pytest.mark.slow  # two matches and two searches
+@pytest.mark.full  # two matches and two searches
+@pytest.mark.slow
 def test_what_the_drives_hide_is_found_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,12 +52,15 @@ def test_is_as_stored(
     assert not moved, f"{told}\n\n{table(moved)}"
 
 
+LONG = {"circuits", "descent", "stops"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    # the longest is left to .ci/full
+    # the longest are left to .ci/full
     [
-        pytest.param(one, marks=pytest.mark.full if one == "descent" else ())
+        pytest.param(one, marks=pytest.mark.full if one in LONG else ())
         for one in RECORDINGS
     ],
 )

@@ -48,14 +48,10 @@ def halves(session: str, folder: Path) -> tuple[Path, Path]:
     return parts
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("fitted", "other"),
-    [
-        (SPAIN, HUNGARY),
-        pytest.param(HUNGARY, SPAIN, marks=pytest.mark.full),
-        pytest.param(SPAIN, "", marks=pytest.mark.full),
-        pytest.param(HUNGARY, "", marks=pytest.mark.full),
-    ],
+    [(SPAIN, HUNGARY), (HUNGARY, SPAIN), (SPAIN, ""), (HUNGARY, "")],
 )
 def test_no_worse_than_a_disc_of_one_node(
     tmp_path: Path,

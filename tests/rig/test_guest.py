@@ -78,6 +78,7 @@ def test_much_output_comes_whole_and_the_callers_pipe_stays_blocking(
         assert not flags & os.O_NONBLOCK
 
 
+@pytest.mark.full  # it waits
 def test_what_takes_too_long_is_ended(possible: None) -> None:
     done = run("-t", "25", "sh", "-c", "echo begun; sleep 1000")
     assert done.returncode == TIMED_OUT

@@ -89,7 +89,9 @@ def possible() -> None:
         pytest.skip(reason)
 
 
-@pytest.mark.parametrize("how", ["process", "sysrq"])
+@pytest.mark.parametrize(
+    "how", ["process", pytest.param("sysrq", marks=pytest.mark.full)]
+)
 def test_the_state_survives_the_end_of_the_guest(
     possible: None, tmp_path: Path, how: str
 ) -> None:

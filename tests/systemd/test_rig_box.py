@@ -8,7 +8,7 @@ from typing import Any
 import can
 import pytest
 
-pytestmark = pytest.mark.systemd
+pytestmark = [pytest.mark.systemd, pytest.mark.full]
 
 DEADLINE_S = 30.0
 FIRST_DYNAMIC_USER = 61184

@@ -285,6 +285,7 @@ class Storm:
         self._driven.silent = False
 
 
+@pytest.mark.full
 def test_everything_at_once(  # noqa: PLR0917
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],

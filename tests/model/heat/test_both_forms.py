@@ -319,6 +319,7 @@ def test_any_memory(
     )
 
 
+@pytest.mark.full
 @pytest.mark.slow
 @settings(deadline=None, suppress_health_check=TOO_SLOW)
 @given(chosen=PLANS, drive=DRIVES)

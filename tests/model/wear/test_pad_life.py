@@ -11,15 +11,9 @@ import pytest
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
+@pytest.mark.full
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("calm", marks=pytest.mark.full),
-        pytest.param("brisk", marks=pytest.mark.full),
-        "hard",
-    ],
-)
+@pytest.mark.parametrize("name", ["calm", "brisk", "hard"])
 def test_thickness_is_within_half_a_millimetre(
     monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
