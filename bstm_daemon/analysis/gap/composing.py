@@ -1,11 +1,9 @@
 """Beyond the catalogue: a heat path composed of the grammar's words.
 
 Every term of :mod:`~bstm_daemon.model.effects.composed` is a heat at measured
-temperatures. What it would change in the residuals follows from the model's
-own response to heat at a node, linear about these temperatures, so that
-thousands of terms cost one march. The few that explain most are simulated
-with the whole model and weighed like the effects of the catalogue: all
-tunables free, each term paying for the choice among all of them.
+temperatures. The few that explain most are simulated with the whole model and
+weighed like the effects of the catalogue: all tunables free, each term paying
+for the choice among all of them. What others have made idle goes again.
 """
 
 from __future__ import annotations
@@ -28,18 +26,16 @@ from bstm_daemon.analysis.gap.evidence import (
     probabilities,
     weigh,
 )
+from bstm_daemon.analysis.gap.heat_response import BLOCK, Response
 from bstm_daemon.analysis.gap.joint_effects import NEXT_EVIDENCE, NEXT_SHARE
-from bstm_daemon.analysis.gap.naming import AGAINST, Naming
+from bstm_daemon.analysis.gap.naming import Naming, is_contradicted
 from bstm_daemon.analysis.gap.noise import Layout
-from bstm_daemon.analysis.gap.residual_heat import measured_nodes
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
     signature_of,
 )
-from bstm_daemon.analysis.matching.drives import GRID_S, Drive
-from bstm_daemon.analysis.matching.march import march, model_of
-from bstm_daemon.analysis.matching.thermocouples import InPad, lagged
+from bstm_daemon.analysis.matching.march import model_of
 from bstm_daemon.analysis.statistics.evidence import FREE, Projector, fit_terms
 from bstm_daemon.analysis.statistics.series import Column
 from bstm_daemon.errors import ConfigError
@@ -51,14 +47,6 @@ from bstm_daemon.model.effects.composed import (
     Term,
     read,
 )
-from bstm_daemon.model.effects.model import CornerModel
-from bstm_daemon.model.thermal.network import Factor, Link, Node, value
-
-BLOCK: Final = 10
-"""Steps of the grid that responses are marched by: 5 s."""
-
-FOLLOWS: Final = 1e-9
-"""Size of a mass that takes no heat."""
 
 WIDENED: Final = 16
 """Terms of one clause that get a second one."""
@@ -75,134 +63,6 @@ AT_ONCE: Final = 128
 
 MOST_TERMS: Final = 3
 WORDS: Final = sum(len(form.grid) for form in FORMS.values())
-
-
-class Response:
-    """What heats change at the thermocouples of one corner over one drive."""
-
-    def __init__(
-        self, model: CornerModel, drive: Drive, terms: Sequence[Term]
-    ) -> None:
-        """March *model* over *drive* once, measured nodes as measured.
-
-        What the memories and masses of *terms* do is marched too.
-        """
-        self.model = whole = model
-        looking_back = {
-            (one.memories(), one.masses()): replace(one, size=FOLLOWS)
-            for one in terms
-        }
-        for one in looking_back.values():
-            if one.memories() or one.masses():
-                whole = one.edit(whole)
-        net = whole.network
-        corner = model.spec.name
-        self.placed = drive.placed.get(corner, {})
-        found = march(
-            [compiled_model(whole)],
-            drive,
-            corner,
-            forced=measured_nodes(drive, corner, compiled_model(model)),
-            memories=[one.name for one in net.memories],
-        )
-        self.count = len(drive) // BLOCK
-        columns = {name: column[:, 0] for name, column in found.items()}
-        columns |= {one: drive.channel(corner, one) for one in net.inputs}
-        self.slots = {
-            name: column[: self.count * BLOCK].reshape(-1, BLOCK).mean(axis=1)
-            for name, column in columns.items()
-        }
-        free = [
-            one
-            for one in model.network.nodes
-            if one.boundary_input is None or one.capacity_j_k > 0.0
-        ]
-        self.place = {node.name: i for i, node in enumerate(free)}
-        self._solve(free)
-
-    def _solve(self, free: Sequence[Node]) -> None:
-        """Invert the implicit step of each block."""
-        size = len(free)
-        self.capacity = np.zeros((self.count, size))
-        for i, node in enumerate(free):
-            own = value(node.name, node.capacity_table)
-            factors = () if node.capacity_table is None else (own,)
-            shape = self._product((*node.factors, *factors))
-            self.capacity[:, i] = node.capacity_j_k * shape / (BLOCK * GRID_S)
-        matrix = self.capacity[:, :, None] * np.eye(size)
-        for link in self.model.network.links:
-            g = link.conductance_w_k * self._product(link.factors)
-            ends = [self.place[n] for n in (link.a, link.b) if n in self.place]
-            for i in ends:
-                matrix[:, i, i] += g
-            if len(ends) == 2:
-                matrix[:, ends[0], ends[1]] -= g
-                matrix[:, ends[1], ends[0]] -= g
-        self.inverse = np.linalg.inv(matrix)
-
-    def _product(self, factors: Sequence[Factor]) -> Column:
-        found = np.ones(self.count)
-        for one in factors:
-            driver = one.driver(self.slots[one.a], self.slots[one.b or one.a])
-            if one.table is not None:
-                values = one.table.values
-                x = one.table.x0 + one.table.dx * np.arange(len(values))
-                driver = np.interp(driver, x, values)
-            found *= driver
-        return found
-
-    def of(
-        self, terms: Sequence[Term], nodes: Sequence[str]
-    ) -> dict[str, Column]:
-        """Return the change [K] of *nodes* by each term, (blocks, terms)."""
-        heats, into, term_of = [], [], []
-        for number, term in enumerate(terms):
-            for flow in term.flows(self.model):
-                if isinstance(flow, Link):
-                    apart = self.slots[flow.a] - self.slots[flow.b]
-                    heat = flow.conductance_w_k * apart
-                    ends = [(flow.a, -1.0), (flow.b, 1.0)]
-                else:
-                    heat, ends = flow.gain, [(flow.node, 1.0)]
-                heat = heat * self._product(flow.factors)
-                own = [end for end in ends if end[0] in self.place]
-                heats += [sign * heat for _, sign in own]
-                into += [self.place[node] for node, _ in own]
-                term_of += [number] * len(own)
-        heat_w = np.array(heats).T
-        state = np.zeros((len(self.place), len(terms)))
-        flat = np.array(into) * len(terms) + np.array(term_of)
-        shown = self._shown(nodes)
-        found = np.empty((len(nodes), self.count, len(terms)))
-        for block in range(self.count):
-            right = np.bincount(flat, heat_w[block], state.size)
-            right = right.reshape(state.shape)
-            right += self.capacity[block][:, None] * state
-            state = self.inverse[block] @ right
-            found[:, block] = shown @ state
-        return {
-            node: lagged(
-                change_k, self.model.lag_s.get(node, 0.0), BLOCK * GRID_S
-            )
-            for node, change_k in zip(nodes, found, strict=True)
-        }
-
-    def _shown(self, nodes: Sequence[str]) -> Column:
-        """Return the share that each node has in what thermocouples read.
-
-        Those of *nodes*, (thermocouples, nodes).
-        """
-        shown = np.zeros((len(nodes), len(self.place)))
-        for row, node in zip(shown, nodes, strict=True):
-            place = self.placed.get(node)
-            shares = (
-                place.shares(self.model.network)
-                if isinstance(place, InPad)
-                else {node: 1.0}
-            )
-            for name, share in shares.items():
-                row[self.place[name]] = share
-        return shown
 
 
 class Search:
@@ -316,10 +176,43 @@ class Search:
                 self.comparison, name, self.base_k, (0.5, 1.0)
             )
             if signature and name not in {one.name for one in chosen}:
-                one = weigh(project, self.known.residual, signature)
-                paid = one.log_evidence - cost(term)
-                found.append((replace(one, log_evidence=paid), signature))
+                found.append((self.beside(signature, project), signature))
         return sorted(found, key=lambda one: -one[0].log_evidence)
+
+    def beside(self, signature: Signature, project: Projector) -> Candidate:
+        """Return what *signature* explains of what *project* leaves.
+
+        Its words are paid for.
+        """
+        one = weigh(project, self.known.residual, signature)
+        paid = one.log_evidence - cost(read(one.name.removeprefix(PREFIX)))
+        return replace(one, log_evidence=paid)
+
+    def needed(self, chosen: Sequence[Signature]) -> list[Signature]:
+        """Return which of *chosen* the others do not make idle.
+
+        What explains most beside them first.
+        """
+        kept = list(chosen)
+        while True:
+            alone = {}
+            for one in kept:
+                others = [two.column for two in kept if two is not one]
+                found = self.beside(one, self.project.beside(others))
+                alone[one.name] = found.log_evidence
+            kept.sort(key=lambda one: -alone[one.name])
+            if len(kept) == 1 or alone[kept[-1].name] >= NEXT_EVIDENCE:
+                return kept
+            kept.pop()
+
+    def weighed(self, chosen: Sequence[Signature]) -> list[Candidate]:
+        """Return *chosen*, each beside those before it."""
+        return [
+            self.beside(
+                one, self.project.beside([two.column for two in chosen[:i]])
+            )
+            for i, one in enumerate(chosen)
+        ]
 
 
 def cost(term: Term) -> float:
@@ -356,26 +249,8 @@ def with_composed(
     if not naming.found:
         return known, naming
     search = Search(comparison, layout, known)
-    terms: list[Candidate] = []
-    chosen: list[Signature] = []
-    validated: dict[str, float] = {}
-    others: list[str] = []
-    while len(terms) < MOST_TERMS:
-        found = search.best(chosen)
-        if not found:
-            break
-        if not terms:
-            found, validated = _not_contradicted(layout, known, found)
-            others = _as_likely([each for each, _ in found])
-        one, signature = found[0]
-        if one.log_evidence < NEXT_EVIDENCE or (
-            terms and one.gain < NEXT_SHARE * terms[0].gain
-        ):
-            break
-        if min(validated.values(), default=0.0) < -AGAINST:
-            break
-        terms.append(one)
-        chosen.append(signature)
+    chosen, validated, others = _selected(search, layout, known)
+    terms = search.weighed(chosen)
     rivals = naming.adoptable or naming.names[:1]
     listed = _listed_gain(search.project, known, naming)
     gain = _gain(search.project, known, dict.fromkeys(chosen, 1.0))
@@ -412,6 +287,42 @@ def with_composed(
     )
 
 
+def _selected(
+    search: Search, layout: Layout, known: Linearised
+) -> tuple[list[Signature], dict[str, float], list[str]]:
+    """Return terms, what each drive says of the first, and rivals of it.
+
+    One after the other is added, and what that makes idle goes. What explains
+    most beside the others is first, unless a drive contradicts it.
+    """
+    chosen: list[Signature] = []
+    others: list[str] = []
+    likeliest, least_gain = "", 0.0
+    for _ in range(MOST_TERMS):
+        found = search.best(chosen)
+        if found and not chosen:
+            found, validated = _not_contradicted(layout, known, found)
+            if is_contradicted(found[0][0], validated):
+                break
+            likeliest = found[0][0].name
+            others = _as_likely([each for each, _ in found])
+            least_gain = NEXT_SHARE * found[0][0].gain
+        if (
+            not found
+            or found[0][0].log_evidence < NEXT_EVIDENCE
+            or found[0][0].gain < least_gain
+        ):
+            break
+        chosen = search.needed([*chosen, found[0][1]])
+    for first, term in zip(chosen, search.weighed(chosen), strict=True):
+        validated = cross_validated(layout, known, first)
+        if not is_contradicted(term, validated):
+            rest = [one for one in chosen if one is not first]
+            rivals = others if first.name == likeliest else []
+            return [first, *rest], validated, rivals
+    return [], {}, []
+
+
 def _not_contradicted(
     layout: Layout,
     known: Linearised,
@@ -428,7 +339,7 @@ def _not_contradicted(
         if one.log_evidence < least:
             break
         validated = cross_validated(layout, known, signature)
-        if min(validated.values(), default=0.0) >= -AGAINST:
+        if not is_contradicted(one, validated):
             return found[i:], validated
         by_first = by_first or validated
     return found, by_first
