@@ -21,7 +21,7 @@ HEAD = (
     "medians of rounds in which everything that is compared takes its turn. "
     "They move by up to a factor of two with the load of a machine; the "
     "ratios hold, and goals are set on ratios: the least ratio, less the part "
-    "that may be missing before `.ci/run` fails. A section shows its first "
+    "that may be missing before a run fails. A section shows its first "
     "table; `python tests/benchmarks/run.py NAME --full` prints all."
 )
 

@@ -190,6 +190,7 @@ def test_the_service_warms_the_discs_of_a_braking_car(
     until(lambda: "800 frames" in started.property("StatusText"), started)
 
 
+@pytest.mark.full
 def test_frames_from_elsewhere_with_our_id_end_publication(
     started: Unit,
 ) -> None:
@@ -210,6 +211,7 @@ def test_a_reload_takes_a_good_configuration(started: Unit) -> None:
     assert started.property("MainPID") == process
 
 
+@pytest.mark.full
 def test_a_reload_refuses_a_bad_configuration(started: Unit) -> None:
     process = started.property("MainPID")
     configure(wheel_radius_m="-1.0")
@@ -240,6 +242,7 @@ def test_a_restart_knows_the_brakes(started: Unit, tmp_path: Path) -> None:
     assert again["Disc"] > 25.0
 
 
+@pytest.mark.full
 def test_the_state_names_the_boot(started: Unit) -> None:
     """By it the time parked is certain; ProcSubset=pid would hide it."""
     started.control("stop")
@@ -278,6 +281,7 @@ def test_a_wrong_configuration_is_not_tried_again(service: Unit) -> None:
     assert "[vehicle] wheel_radius_m" in service.journal()
 
 
+@pytest.mark.full
 def test_a_second_owner_of_the_state_is_not_tried_again(
     started: Unit,
     unit_named: Callable[[str], Unit],
@@ -306,6 +310,7 @@ def test_a_missing_configuration_is_waited_for(service: Unit) -> None:
     service.wait_for("ActiveState", "active")
 
 
+@pytest.mark.full
 def test_an_instance_runs_beside_and_outlives_the_other(
     started: Unit, unit_named: Callable[[str], Unit]
 ) -> None:
@@ -351,12 +356,14 @@ def test_it_starts_before_its_interface(service: Unit) -> None:
     published()
 
 
+@pytest.mark.full
 def test_every_user_may_read_the_metrics(started: Unit) -> None:
     until(METRICS.exists, started)
     text = run("cat", METRICS, user=NOBODY).stdout
     assert "bstm_build_info{" in text
 
 
+@pytest.mark.full
 def test_the_drop_in_serves_metrics_on_loopback(service: Unit) -> None:
     run(BSTM, "install-service", "--metrics-port", str(PORT))
     run("systemctl", "daemon-reload")
@@ -388,6 +395,7 @@ def get(path: str) -> tuple[int, str]:
         return error.code, error.read().decode()
 
 
+@pytest.mark.full
 def test_the_sysctl_file_gives_the_whole_receive_buffer(service: Unit) -> None:
     key = Path("/proc/sys/net/core/rmem_max")
     before = key.read_text()
@@ -447,6 +455,7 @@ def test_the_feed_is_for_its_group_only(with_feed: Unit) -> None:
     run(sys.executable, "-c", code, user=NOBODY, group=status.st_gid)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["bstm-view.service", "bstm-mqtt.service"])
 def test_the_units_beside_the_service_are_sound(
     with_feed: Unit, name: str

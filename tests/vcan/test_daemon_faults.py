@@ -364,6 +364,7 @@ def test_duplicates_change_nothing(
     assert document["corners"]["FL"]["disc"] > 285.0
 
 
+@pytest.mark.full
 def test_a_full_disk(
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],
@@ -444,6 +445,7 @@ def test_a_folder_that_becomes_read_only(
     subprocess.run([program("umount"), str(medium)], check=True)
 
 
+@pytest.mark.full
 def test_a_folder_that_is_read_only_from_the_start(
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],

@@ -38,6 +38,7 @@ IN_START = 0.2
 START_S = 0.3
 
 
+@pytest.mark.full
 def test_the_state_survives_sigkill_at_random_instants(
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],

@@ -48,6 +48,7 @@ def publishes(heard: Ear) -> None:
     heard.wait(10, BASE, since=len(heard.frames))
 
 
+@pytest.mark.full
 def test_a_log_that_nobody_takes(
     daemon: Callable[..., Daemon], ear: Callable[..., Ear], vcan0: str
 ) -> None:
@@ -124,6 +125,7 @@ def test_without_a_configuration_file(
     assert any("absent.toml" in line for line in running.other_lines)
 
 
+@pytest.mark.full
 def test_reloads_keep_nothing_open(
     daemon: Callable[..., Daemon],
     ear: Callable[..., Ear],
