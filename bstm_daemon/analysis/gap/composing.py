@@ -3,7 +3,7 @@
 Every term of :mod:`~bstm_daemon.model.effects.composed` is a heat at measured
 temperatures. The few that explain most are simulated with the whole model and
 weighed like the effects of the catalogue: all tunables free, each term paying
-for the choice among all of them. What others have made idle goes again.
+for the choice among all of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from bstm_daemon.analysis.gap.evidence import (
 )
 from bstm_daemon.analysis.gap.heat_response import BLOCK, Response
 from bstm_daemon.analysis.gap.joint_effects import NEXT_EVIDENCE, NEXT_SHARE
-from bstm_daemon.analysis.gap.naming import Naming, is_contradicted
+from bstm_daemon.analysis.gap.naming import AGAINST, Naming
 from bstm_daemon.analysis.gap.noise import Layout
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
@@ -176,43 +176,10 @@ class Search:
                 self.comparison, name, self.base_k, (0.5, 1.0)
             )
             if signature and name not in {one.name for one in chosen}:
-                found.append((self.beside(signature, project), signature))
+                one = weigh(project, self.known.residual, signature)
+                paid = one.log_evidence - cost(term)
+                found.append((replace(one, log_evidence=paid), signature))
         return sorted(found, key=lambda one: -one[0].log_evidence)
-
-    def beside(self, signature: Signature, project: Projector) -> Candidate:
-        """Return what *signature* explains of what *project* leaves.
-
-        Its words are paid for.
-        """
-        one = weigh(project, self.known.residual, signature)
-        paid = one.log_evidence - cost(read(one.name.removeprefix(PREFIX)))
-        return replace(one, log_evidence=paid)
-
-    def needed(self, chosen: Sequence[Signature]) -> list[Signature]:
-        """Return which of *chosen* the others do not make idle.
-
-        What explains most beside them first.
-        """
-        kept = list(chosen)
-        while True:
-            alone = {}
-            for one in kept:
-                others = [two.column for two in kept if two is not one]
-                found = self.beside(one, self.project.beside(others))
-                alone[one.name] = found.log_evidence
-            kept.sort(key=lambda one: -alone[one.name])
-            if len(kept) == 1 or alone[kept[-1].name] >= NEXT_EVIDENCE:
-                return kept
-            kept.pop()
-
-    def weighed(self, chosen: Sequence[Signature]) -> list[Candidate]:
-        """Return *chosen*, each beside those before it."""
-        return [
-            self.beside(
-                one, self.project.beside([two.column for two in chosen[:i]])
-            )
-            for i, one in enumerate(chosen)
-        ]
 
 
 def cost(term: Term) -> float:
@@ -249,8 +216,26 @@ def with_composed(
     if not naming.found:
         return known, naming
     search = Search(comparison, layout, known)
-    chosen, validated, others = _selected(search, layout, known)
-    terms = search.weighed(chosen)
+    terms: list[Candidate] = []
+    chosen: list[Signature] = []
+    validated: dict[str, float] = {}
+    others: list[str] = []
+    while len(terms) < MOST_TERMS:
+        found = search.best(chosen)
+        if not found:
+            break
+        if not terms:
+            found, validated = _not_contradicted(layout, known, found)
+            others = _as_likely([each for each, _ in found])
+        one, signature = found[0]
+        if one.log_evidence < NEXT_EVIDENCE or (
+            terms and one.gain < NEXT_SHARE * terms[0].gain
+        ):
+            break
+        if min(validated.values(), default=0.0) < -AGAINST:
+            break
+        terms.append(one)
+        chosen.append(signature)
     rivals = naming.adoptable or naming.names[:1]
     listed = _listed_gain(search.project, known, naming)
     gain = _gain(search.project, known, dict.fromkeys(chosen, 1.0))
@@ -287,42 +272,6 @@ def with_composed(
     )
 
 
-def _selected(
-    search: Search, layout: Layout, known: Linearised
-) -> tuple[list[Signature], dict[str, float], list[str]]:
-    """Return terms, what each drive says of the first, and rivals of it.
-
-    One after the other is added, and what that makes idle goes. What explains
-    most beside the others is first, unless a drive contradicts it.
-    """
-    chosen: list[Signature] = []
-    others: list[str] = []
-    likeliest, least_gain = "", 0.0
-    for _ in range(MOST_TERMS):
-        found = search.best(chosen)
-        if found and not chosen:
-            found, validated = _not_contradicted(layout, known, found)
-            if is_contradicted(found[0][0], validated):
-                break
-            likeliest = found[0][0].name
-            others = _as_likely([each for each, _ in found])
-            least_gain = NEXT_SHARE * found[0][0].gain
-        if (
-            not found
-            or found[0][0].log_evidence < NEXT_EVIDENCE
-            or found[0][0].gain < least_gain
-        ):
-            break
-        chosen = search.needed([*chosen, found[0][1]])
-    for first, term in zip(chosen, search.weighed(chosen), strict=True):
-        validated = cross_validated(layout, known, first)
-        if not is_contradicted(term, validated):
-            rest = [one for one in chosen if one is not first]
-            rivals = others if first.name == likeliest else []
-            return [first, *rest], validated, rivals
-    return [], {}, []
-
-
 def _not_contradicted(
     layout: Layout,
     known: Linearised,
@@ -339,7 +288,7 @@ def _not_contradicted(
         if one.log_evidence < least:
             break
         validated = cross_validated(layout, known, signature)
-        if not is_contradicted(one, validated):
+        if min(validated.values(), default=0.0) >= -AGAINST:
             return found[i:], validated
         by_first = by_first or validated
     return found, by_first
