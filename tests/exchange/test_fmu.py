@@ -68,7 +68,8 @@ def stepped(
 @pytest.mark.parametrize(
     ("name", "fmi"),
     [
-        *(("FL", 2), ("FL", 3), ("car", 2)),
+        *(("FL", 3), ("car", 2)),
+        pytest.param("FL", 2, marks=pytest.mark.full),
         # nothing else of .ci/run compiles it
         pytest.param("car", 3, marks=pytest.mark.full),
     ],

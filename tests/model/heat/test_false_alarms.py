@@ -39,6 +39,9 @@ DRIVES = ("rich", "city", "slippery", "track", "alpine-descent", "assist")
 QUICK = {("slippery", "n4"), ("assist", "n1")}
 """The others take a second or two each."""
 
+LONG = {("rich", "n1"), ("rich", "n3")}
+"""Left to `.ci/full`."""
+
 
 def samples_of(drive: SimulatedDrive) -> tuple[Any, Any, Any, dict[int, int]]:
     """Return stamps, roles and values while the bus is on; time-outs."""
@@ -62,7 +65,8 @@ def samples_of(drive: SimulatedDrive) -> tuple[Any, Any, Any, dict[int, int]]:
         pytest.param(
             drive,
             sensors,
-            marks=[] if (drive, sensors) in QUICK else [pytest.mark.slow],
+            marks=[pytest.mark.slow] * ((drive, sensors) not in QUICK)
+            + [pytest.mark.full] * ((drive, sensors) in LONG),
         )
         for drive in DRIVES
         for sensors in ("n1", "n2", "n3", "n4")
