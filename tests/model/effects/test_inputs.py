@@ -408,6 +408,10 @@ def test_one_sensor_errs_alone(car: Callable[..., Config]) -> None:
         assert asked == {
             (node,) for node in MEASURED_NODES if node != "disc_2"
         }
+    losses = [
+        f.get("loss", 0.0) for f in effect_class("thermocouple_lag").forms
+    ]
+    assert losses == [0.0] * 5 + [0.05] * 5 + [0.15] * 5
     assert {one.role for one in high.corrections} == {
         f"temp_{corner}_fluid" for corner in ("fl", "fr", "rl", "rr")
     }

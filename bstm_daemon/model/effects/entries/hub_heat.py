@@ -16,7 +16,7 @@ class HubHeat(Effect):
     """Heat of a torque at the hub that comes to the disc through the hat.
 
     Shoes of a parking brake that drag take 5 to 30 Nm, a bearing with too
-    much preload a few, more with speed. About half of the heat goes to the
+    much preload a few, more with speed. Half of the heat or less goes to the
     disc, as late as hub and hat follow, or the hat alone where its inside is
     the drum; the rest to the knuckle, and with it to the bracket that is
     bolted there.
