@@ -52,7 +52,7 @@ def test_is_as_stored(
     assert not moved, f"{told}\n\n{table(moved)}"
 
 
-LONG = {"circuits", "descent", "stops"}
+LONG = {"circuits", "descent", "inputs", "stops"}
 
 
 @pytest.mark.slow

@@ -46,9 +46,7 @@ def _without_energies(summary: DriveSummary) -> DriveSummary:
     )
 
 
-@pytest.mark.parametrize(
-    "rows", [pytest.param(7, marks=pytest.mark.slow), 999, 1024, 51_001]
-)
+@pytest.mark.parametrize("rows", [211, 999, 1024, 51_001])
 def test_pieces_add_up(descent: Results, rows: int) -> None:
     """Sums to the rounding of another order, the rest to the bit."""
     statistics = DriveStatistics()

@@ -27,7 +27,7 @@ import pytest
 from bstm_daemon.service.persistence import StateWriter
 from bstm_daemon.service.state_file import encode, load, lock, save
 
-KILLS = int(os.environ.get("BSTM_SIGKILLS", "10"))
+KILLS = int(os.environ.get("BSTM_SIGKILLS", "5"))
 INTERVAL_S = 0.02
 LEFTOVER = re.compile(r"\.golf\.state\.tmp-[a-z0-9_]{8}")
 

@@ -314,6 +314,7 @@ def test_what_is_hidden_in_all_drives_is_added(
 
 
 @pytest.mark.slow
+@pytest.mark.full
 def test_nothing_is_added_where_nothing_is_hidden(
     calibrated: Callable[..., Calibrated], made: Callable[..., Recording]
 ) -> None:

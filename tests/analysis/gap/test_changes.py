@@ -234,7 +234,9 @@ def test_a_change_is_said_in_plain_words() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.65, 1.5])
+@pytest.mark.parametrize(
+    "factor", [0.65, pytest.param(1.5, marks=pytest.mark.full)]
+)
 def test_a_value_that_has_changed_is_named_and_written(
     matched: Target, made: Callable[..., Recording], factor: float
 ) -> None:

@@ -229,7 +229,7 @@ def test_nothing_is_named_where_nothing_is_missing() -> None:
     ("name", "strength"),
     [
         ("friction_pressure", 2.0),
-        pytest.param("friction_fade", 1.5, marks=pytest.mark.slow),
+        pytest.param("friction_fade", 1.5, marks=pytest.mark.full),
     ],
 )
 def test_friction_is_named_by_force_alone(name: str, strength: float) -> None:

@@ -102,7 +102,10 @@ def test_a_reading_is_told_where_it_is_clearly_ahead_of_heat(
 @pytest.mark.parametrize(
     ("share", "late_s", "place"),
     [
-        (0.6, 0.0, "reading of pad_front that differs with its excess"),
+        pytest.param(
+            *(0.6, 0.0, "reading of pad_front that differs with its excess"),
+            marks=pytest.mark.full,
+        ),
         (1.0, 15.0, "reading of pad_front that differs with its rate"),
     ],
 )

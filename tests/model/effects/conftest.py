@@ -84,7 +84,7 @@ class Corner:
         )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def corner(make_spec: Callable[..., CornerSpec]) -> Callable[..., Corner]:
     """Return the maker of corners: (effect or None, parameters)."""
     kernel = load_kernel()

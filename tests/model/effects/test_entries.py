@@ -45,17 +45,25 @@ def tour(corner: Corner) -> Corner:
     return corner.drive(60, 10e3).drive(300, speed_ms=0.0)
 
 
+@pytest.fixture(scope="session")
+def base(corner: Make) -> dict[str, float]:
+    """Return the nodes of a corner without an effect after the tour."""
+    return tour(corner(None)).nodes()
+
+
 @EVERY
-def test_strength_zero_is_absence(corner: Make, name: str) -> None:
+def test_strength_zero_is_absence(
+    corner: Make, base: dict[str, float], name: str
+) -> None:
     """Not a bit of any node differs."""
-    base = tour(corner(None)).nodes()
     assert tour(corner(name, strength=0.0)).nodes() == base
 
 
 @EVERY
-def test_typical_strength_shows_and_conserves(corner: Make, name: str) -> None:
+def test_typical_strength_shows_and_conserves(
+    corner: Make, base: dict[str, float], name: str
+) -> None:
     """Something moves by more than 0.1 K, and the ledger closes."""
-    base = tour(corner(None)).nodes()
     there = tour(corner(name))
     found = there.nodes()
     assert max(abs(found[k] - base[k]) for k in base) > 0.1
@@ -64,11 +72,11 @@ def test_typical_strength_shows_and_conserves(corner: Make, name: str) -> None:
 
 
 @EVERY
-def test_stronger_moves_further(corner: Make, name: str) -> None:
+def test_stronger_moves_further(
+    corner: Make, base: dict[str, float], name: str
+) -> None:
     """More strength goes the same way, further, somewhere."""
-    base, once, twice = (
-        tour(corner(name, strength=s)).nodes() for s in (0.0, 0.5, 1.0)
-    )
+    once, twice = (tour(corner(name, strength=s)).nodes() for s in (0.5, 1.0))
     ratios = [
         (twice[k] - base[k]) / (once[k] - base[k])
         for k in base
