@@ -17,9 +17,9 @@ from bstm_daemon.analysis.matching.drives import (
     settled,
 )
 from bstm_daemon.analysis.matching.thermocouples import (
+    InDisc,
     InPad,
     Placement,
-    lining_of,
     node_at,
 )
 from bstm_daemon.analysis.statistics.series import Column
@@ -28,7 +28,6 @@ from bstm_daemon.config.sections import Config
 from bstm_daemon.estimator.corner_model import corner_model
 from bstm_daemon.model.effects.model import CornerModel
 from bstm_daemon.model.thermal.kernel import Batch
-from bstm_daemon.model.thermal.network import Network
 from bstm_daemon.model.thermal.program import Program, compile_network
 
 STEADY_K: Final = 10.0
@@ -120,22 +119,36 @@ def march(  # noqa: PLR0913
     for member, own_k in enumerate(initial_k):
         for i, name in enumerate(names):
             batch.state[member * batch.width + i] = own_k[name]
+    wanted = [n for n in names if not nodes or n in {*nodes, *placed}]
+    shares = {name: {name: 1.0} for name in (*wanted, *memories)}
+    for couple, place in placed.items():
+        if isinstance(place, InPad):
+            shares[couple] = place.shares(network)
+    found = _marched(batch, inputs, shares)
+    if power_w is None:
+        power_w = drive.channel(corner, "brake_power_w")[:, None]
+    return found | _near_the_face(found, placed, power_w)
+
+
+def _marched(
+    batch: Batch,
+    inputs: Column,
+    shares: Mapping[str, Mapping[str, float]],
+) -> dict[str, Column]:
+    """Return, by name, sums of shares of the states, (steps, variants)."""
+    variants = len(batch.programs)
+    index = batch.programs[0].state_names.index
     size = batch.width + batch.sources
-    between = {*placed, *lining_of(network)} if placed else set()
-    wanted = [n for n in names if not nodes or n in {*nodes, *between}]
-    columns = [names.index(name) for name in wanted]
-    columns += [programs[0].state_names.index(name) for name in memories]
-    kept = np.empty((len(columns), len(inputs), len(programs)))
+    found = {name: np.empty((len(inputs), variants)) for name in shares}
     for first in range(0, len(inputs), STRETCH_STEPS):
         part = inputs[first : first + STRETCH_STEPS]
         out = batch.march(flat(part), len(part), GRID_S)
-        shaped = np.frombuffer(out).reshape(len(part), len(programs), size)
-        for one, i in zip(kept, columns, strict=True):
-            one[first : first + len(part)] = shaped[:, :, i]
-    found = dict(zip((*wanted, *memories), kept, strict=True))
-    if power_w is None:
-        power_w = drive.channel(corner, "brake_power_w")[:, None]
-    return found | _at_their_places(found, placed, network, power_w)
+        states = np.frombuffer(out).reshape(len(part), variants, size)
+        for name, own in shares.items():
+            found[name][first : first + len(part)] = sum(
+                share * states[:, :, index(one)] for one, share in own.items()
+            )
+    return found
 
 
 def _following(
@@ -154,17 +167,15 @@ def _following(
     return [compile_network(one) for one in networks], inputs
 
 
-def _at_their_places(
+def _near_the_face(
     found: Mapping[str, Column],
     placed: Mapping[str, Placement],
-    network: Network,
     power_w: Column,
 ) -> dict[str, Column]:
-    """Return what thermocouples of known depth show of the nodes *found*."""
+    """Return what thermocouples of known depth show of the discs *found*."""
     return {
-        couple: place.reading(found, network)
-        if isinstance(place, InPad)
-        else found[couple]
+        couple: found[couple]
         + np.stack([place.excess_k(one, GRID_S) for one in power_w.T], axis=1)
         for couple, place in placed.items()
+        if isinstance(place, InDisc)
     }

@@ -94,13 +94,6 @@ class InPad:
         upper, lower = list(lining)[above : above + 2]
         return {upper: 1.0 - (place - above), lower: place - above}
 
-    def reading(self, at_k: Mapping[str, Column], network: Network) -> Column:
-        """Return the temperature [K], shaped as that of a node of *at_k*."""
-        upper, lower = (
-            share * at_k[name] for name, share in self.shares(network).items()
-        )
-        return upper + lower
-
     def node(self, network: Network) -> str:
         """Return the nearest node.
 

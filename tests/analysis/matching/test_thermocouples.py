@@ -58,13 +58,12 @@ def test_between_slabs_the_reading_is_between(
     depth_m: float, kelvin: float
 ) -> None:
     kelvins = [500.0, 400.0, 360.0, 320.0, 290.0]
-    columns = {
-        node.name: np.full((3, 2), k)
-        for node, k in zip(LINING.nodes, kelvins, strict=True)
-    }
+    at_k = {n.name: k for n, k in zip(LINING.nodes, kelvins, strict=True)}
+    shares = InPad(depth_m).shares(LINING)
 
-    assert InPad(depth_m).reading(columns, LINING) == pytest.approx(
-        np.full((3, 2), kelvin)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert sum(share * at_k[name] for name, share in shares.items()) == (
+        pytest.approx(kelvin)
     )
 
 
