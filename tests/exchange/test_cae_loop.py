@@ -41,6 +41,7 @@ def looped(folder: Path, config: str) -> tuple[float, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.full
 def test_a_pad_of_ones_own_runs_in_a_loop(tmp_path: Path) -> None:
     pytest.importorskip("fmpy", reason="FMPy is not installed (extra fmu)")
     if shutil.which("cc") is None:

@@ -67,7 +67,13 @@ def processes_of(session: int) -> dict[int, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", [b"\x03", b"q"], ids=["control-c", "q"])
+@pytest.mark.parametrize(
+    "key",
+    [
+        pytest.param(b"\x03", id="control-c"),
+        pytest.param(b"q", id="q", marks=pytest.mark.full),
+    ],
+)
 def test_the_display_shows_a_brake_that_gets_hot(
     terminal: Callable[..., Terminal],
     multicast: None,

@@ -39,7 +39,10 @@ DRIVES = ("rich", "city", "slippery", "track", "alpine-descent", "assist")
 QUICK = {("slippery", "n4"), ("assist", "n1")}
 """The others take a second or two each."""
 
-LONG = {("rich", "n1"), ("rich", "n3"), ("rich", "n4")}
+LONG = {
+    *(("rich", sensors) for sensors in ("n1", "n3", "n4")),
+    *(("alpine-descent", sensors) for sensors in ("n2", "n3", "n4")),
+}
 """Left to `.ci/full`."""
 
 
