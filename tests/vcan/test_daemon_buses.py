@@ -111,7 +111,7 @@ def test_one_bus_without_an_interface_does_not_hold_up_the_other(
     assert running.end() == 0
 
 
-def test_a_full_bus_costs_no_frame_and_no_publication(
+def test_a_full_bus_costs_no_frame(
     daemon: Callable[..., Daemon],
     car: Callable[..., Car],
     ear: Callable[..., Ear],
