@@ -22,7 +22,12 @@ from bstm_daemon.analysis.gap.changes import either_sign, is_change
 from bstm_daemon.analysis.gap.comparison import Comparison
 from bstm_daemon.analysis.gap.evidence import NOTHING, strength_prior
 from bstm_daemon.analysis.gap.naming import SURE, Naming
-from bstm_daemon.analysis.gap.recording import Recording, inputs_of, thinned
+from bstm_daemon.analysis.gap.recording import (
+    Packed,
+    Recording,
+    inputs_of,
+    thinned,
+)
 from bstm_daemon.analysis.gap.signatures import (
     Linearised,
     Signature,
@@ -308,7 +313,7 @@ def candidate_drive(
     """
     simulated = simulate(load_drive(name), sensors="none", seed=0)
     events = samples_of(simulated, present)
-    inputs, corners = inputs_of(config, present, events)
+    inputs, corners = inputs_of(config, present, Packed(events))
     start_s = float(events.time_us[0]) * 1e-6
     empty = Drive(name, start_s, corners, inputs, {})
     drive = replace(
@@ -318,7 +323,7 @@ def candidate_drive(
             for corner, nodes in couples.items()
         },
     )
-    thin = thinned(events)
+    thin = Packed(thinned(events))
     description = simulated.drive.drive.description.partition(": ")[2]
     return Recording(drive, present, thin, inputs), description
 

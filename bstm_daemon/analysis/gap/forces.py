@@ -24,9 +24,6 @@ MOST_WINDOWS: Final = 1500
 SLOWEST_MS: Final = 3.0
 """Below, wheel speeds are coarse and the last jolt of a stop is in them."""
 
-HOLD_S: Final = 0.6
-"""A role without a sample for longer is not known."""
-
 DRIVEN_NM: Final = 10.0
 """Where only the engine's torque is on the bus, more of it drives the car."""
 
@@ -89,7 +86,7 @@ def forces(recording: Recording, config: Config) -> Forces:
     )
     engine = np.full(len(speed), np.nan)
     if not known and ROLE_INDEX["engine_torque"] in recording.present:
-        read = _step_means(recording, ROLE_INDEX["engine_torque"])
+        read = recording.step_means(ROLE_INDEX["engine_torque"])
         engine = engine if read is None else read
         motion = np.where(engine > DRIVEN_NM, np.nan, motion)
     # running sums: both sides then have the same averaging
@@ -106,7 +103,7 @@ def forces(recording: Recording, config: Config) -> Forces:
     brake_on = inputs[:, :, CHANNELS.index("brake_on")].max(axis=1)
     switch = ROLE_INDEX["brake_switch"]
     if switch in recording.present:
-        on = _step_means(recording, switch)
+        on = recording.step_means(switch)
         if on is not None:
             brake_on = np.maximum(brake_on, np.nan_to_num(on))
 
@@ -159,7 +156,7 @@ def _motion_n(
         if number not in recording.present:
             return None
         gain, offset = corrections.get(number, (1.0, 0.0))
-        found = _step_means(recording, number)
+        found = recording.step_means(number)
         return None if found is None else gain * found + offset
 
     torque, accel_ms2 = held("powertrain_torque"), None
@@ -186,27 +183,3 @@ def _motion_n(
         if acting is not None:
             force = np.where(acting > 0.0, np.nan, force)
     return force, inertia, driven, accel_ms2 is not None, known
-
-
-def _step_means(recording: Recording, number: int) -> Column | None:
-    """Return the mean of a role over each step; held where it is sparse."""
-    events = recording.thin
-    own = events.role == number
-    if not own.any():
-        return None
-    drive = recording.drive
-    time_s = events.time_us[own] * 1e-6 - drive.start_s
-    value = events.value[own]
-    step = (time_s / GRID_S).astype(int)
-    inside = (step >= 0) & (step < len(drive))
-    count = np.bincount(step[inside], minlength=len(drive))
-    total = np.bincount(step[inside], value[inside], minlength=len(drive))
-    found = np.full(len(drive), np.nan)
-    has = count > 0
-    found[has] = total[has] / count[has]
-    middle = drive.time_s - 0.5 * GRID_S
-    last = np.searchsorted(time_s, middle, side="right") - 1
-    near = (last >= 0) & (middle - time_s[np.maximum(last, 0)] <= HOLD_S)
-    return np.where(
-        has, found, np.where(near, value[np.maximum(last, 0)], np.nan)
-    )

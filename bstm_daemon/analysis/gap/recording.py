@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bstm_daemon.analysis.matching.drives import (
+    GRID_S,
     Drive,
     drive_of,
     grid_inputs,
@@ -25,19 +26,23 @@ from bstm_daemon.estimator.coupling import Coupling
 from bstm_daemon.estimator.estimator import PUBLISH_US, ROWS, Estimator
 from bstm_daemon.model.wear.car import REFIT_US, CarWear
 from bstm_daemon.replay.columns import present_roles
+from bstm_daemon.roles import ROLE_INDEX
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from bstm_daemon.analysis.statistics.series import Column, Mask
+    from bstm_daemon.analysis.statistics.series import Column, Indices, Mask
     from bstm_daemon.bus.signals.signal_map import SignalMap
     from bstm_daemon.config.sections import Config
     from bstm_daemon.estimator.coupling import Outputs
     from bstm_daemon.model.thermal.kernel import Batch
 
-PIECE: Final = 1 << 20
+PIECE: Final = 1 << 16
 """Samples that the estimator takes at a time."""
+
+HOLD_S: Final = 0.6
+"""A role without a sample for longer is not known."""
 
 THIN_S: Final = 0.1
 """Time between samples of one role, where effects are tried."""
@@ -48,6 +53,57 @@ the difference of two passes, and a pass goes back to Python each time."""
 
 MOST_BYTES: Final = 1 << 25
 """Of the trials of a drive that are kept."""
+
+
+class Packed:
+    """Samples in file order, kept bit for bit in a third of the memory.
+
+    A bus says few different values: each is kept once.
+    """
+
+    def __init__(self, events: Events) -> None:
+        """Keep the samples of *events*."""
+        bits, which = np.unique(
+            events.value.view(np.int64), return_inverse=True
+        )
+        self._values = bits.view(np.float64)
+        self._which = which.astype(np.min_scalar_type(len(bits)))
+        self._role = events.role.astype(np.min_scalar_type(len(ROLE_INDEX)))
+        self._start_us = int(events.time_us[0]) if len(events) else 0
+        ahead_us = np.diff(events.time_us, prepend=self._start_us)
+        small = np.abs(ahead_us).max(initial=0) <= np.iinfo(np.int32).max
+        self._ahead_us = ahead_us.astype(np.int32 if small else np.int64)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self._role)
+
+    def pieces(self, samples: int = PIECE) -> Iterator[Events]:
+        """Return the samples, so many at a time."""
+        time_us = self._start_us
+        for first in range(0, len(self), samples):
+            part = slice(first, first + samples)
+            times_us = time_us + np.cumsum(
+                self._ahead_us[part], dtype=np.int64
+            )
+            time_us = int(times_us[-1])
+            yield Events(
+                times_us,
+                self._role[part].astype(np.int32),
+                self._values[self._which[part]],
+            )
+
+    def of_role(self, number: int) -> tuple[Indices, Column]:
+        """Return stamps [us] and values in SI of a role, (n,) each."""
+        found = [
+            (one.time_us[own], one.value[own])
+            for one in self.pieces()
+            for own in [one.role == number]
+        ]
+        if not found:
+            return np.zeros(0, np.int64), np.zeros(0)
+        stamps, values = zip(*found, strict=True)
+        return np.concatenate(stamps), np.concatenate(values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,13 +117,15 @@ class Recording:
 
     drive: Drive
     present: Mapping[int, int] = field(repr=False)
-    thin: Events = field(repr=False)
+    thin: Packed = field(repr=False)
     thin_inputs: Column = field(repr=False)
     _tried: dict[str, tuple[Mask, Column]] = field(
         default_factory=dict, repr=False
     )
     """By configuration: which columns are others than ``thin_inputs``, and
     these. Both axles and the forces ask for the same trials."""
+
+    _means: dict[int, Column | None] = field(default_factory=dict, repr=False)
 
     @property
     def name(self) -> str:
@@ -94,6 +152,18 @@ class Recording:
         found = self.thin_inputs.copy()
         found[:, other] = columns
         return found
+
+    def step_means(self, number: int) -> Column | None:
+        """Return the mean of role *number* over each step, (steps,).
+
+        Held where it is sparse, None where it has no sample.
+        """
+        if number not in self._means:
+            time_us, value = self.thin.of_role(number)
+            self._means[number] = (
+                _step_means(self.drive, time_us, value) if len(value) else None
+            )
+        return self._means[number]
 
     def heated_by(self, config: Config) -> Drive:
         """Return the drive as *config* heats it.
@@ -146,11 +216,13 @@ def recorded(
 
     drive = drive_of(name, _Heating(config, present), passed())
     # the first in each slot again: parts end within one
-    thin = thinned(
-        Events(
-            np.concatenate([one.time_us for one in kept]),
-            np.concatenate([one.role for one in kept]),
-            np.concatenate([one.value for one in kept]),
+    thin = Packed(
+        thinned(
+            Events(
+                np.concatenate([one.time_us for one in kept]),
+                np.concatenate([one.role for one in kept]),
+                np.concatenate([one.value for one in kept]),
+            )
         )
     )
     rows, _ = inputs_of(config, present, thin)
@@ -165,19 +237,37 @@ def thinned(events: Events) -> Events:
         own = np.flatnonzero(events.role == role)
         new = np.diff(slot[own], prepend=slot[own[0]] - 1) != 0
         keep[own[new]] = True
-    return _some(events, keep)
+    return Events(events.time_us[keep], events.role[keep], events.value[keep])
 
 
 def inputs_of(
-    config: Config, present: Mapping[int, int], events: Events
+    config: Config, present: Mapping[int, int], samples: Packed
 ) -> tuple[Column, tuple[str, ...]]:
-    """Return what *config* makes of *events*, and the corners' names.
+    """Return what *config* makes of *samples*, and the corners' names.
 
     (steps, corners, channels), as ``Drive.inputs`` has them.
     """
     estimator = _Trial(config, present)
-    inputs, _ = grid_inputs(estimator, _pieces(events))
+    inputs, _ = grid_inputs(estimator, samples.pieces())
     return inputs, estimator.plan.corners
+
+
+def _step_means(drive: Drive, time_us: Indices, value: Column) -> Column:
+    """Return the mean over each step of *drive*, held where it is sparse."""
+    time_s = time_us * 1e-6 - drive.start_s
+    step = (time_s / GRID_S).astype(int)
+    inside = (step >= 0) & (step < len(drive))
+    count = np.bincount(step[inside], minlength=len(drive))
+    total = np.bincount(step[inside], value[inside], minlength=len(drive))
+    found = np.full(len(drive), np.nan)
+    has = count > 0
+    found[has] = total[has] / count[has]
+    middle = drive.time_s - 0.5 * GRID_S
+    last = np.searchsorted(time_s, middle, side="right") - 1
+    near = (last >= 0) & (middle - time_s[np.maximum(last, 0)] <= HOLD_S)
+    return np.where(
+        has, found, np.where(near, value[np.maximum(last, 0)], np.nan)
+    )
 
 
 def _like(drive: Drive, rows: Column) -> Column:
@@ -248,15 +338,3 @@ class _Coarse(Coupling):
             for batch, _ in batches:
                 batch.march(mean, 1, dt_s, output_phase=2)
         return (array("d"),) * len(batches)
-
-
-def _pieces(events: Events) -> Iterator[Events]:
-    for first in range(0, len(events), PIECE):
-        yield _some(events, slice(first, first + PIECE))
-
-
-def _some(events: Events, which: slice | Mask) -> Events:
-    """Return the samples of *events* at *which*."""
-    return Events(
-        events.time_us[which], events.role[which], events.value[which]
-    )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bstm_daemon.analysis.gap.comparison import with_effects
-from bstm_daemon.analysis.gap.recording import Recording
+from bstm_daemon.analysis.gap.recording import Packed, Recording
 from bstm_daemon.bus.signals.columns import Events
 
 from ...made_drives import driven, effect_entries  # noqa: TID252  (no package)
@@ -48,6 +48,6 @@ def made(config: Config) -> Callable[..., Recording]:
         none = Events(
             np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0)
         )  # fmt: skip
-        return Recording(drive, {}, none, drive.inputs)
+        return Recording(drive, {}, Packed(none), drive.inputs)
 
     return make

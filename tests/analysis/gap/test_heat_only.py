@@ -42,7 +42,7 @@ from bstm_daemon.analysis.gap.heat_only import (
     linearised,
 )
 from bstm_daemon.analysis.gap.naming import Naming
-from bstm_daemon.analysis.gap.recording import Recording, recorded
+from bstm_daemon.analysis.gap.recording import Packed, Recording, recorded
 from bstm_daemon.analysis.matching.drives import GRID_S, Drive
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
@@ -135,7 +135,7 @@ def test_the_force_of_a_drive_is_its_equation_of_motion(
         np.repeat([ROLE_INDEX[name] for name in held], steps),
         np.repeat([*held.values()], steps),
     )
-    recording = Recording(drive, present, events, inputs)
+    recording = Recording(drive, present, Packed(events), inputs)
 
     force, inertia_n, driven, has_accelerometer, known = _motion_n(
         recording, config, speed
@@ -158,7 +158,7 @@ def test_the_force_of_a_drive_is_its_equation_of_motion(
         name="a",
         drive=drive,
         present=present,
-        thin=events,
+        step_means=recording.step_means,
         thin_inputs_of=lambda _: inputs,
     )
     part = forces(seen, config)
@@ -178,7 +178,7 @@ def test_pads_that_rub_brake_by_their_torque_while_released() -> None:
     inputs[:, :, CHANNELS.index("ambient_k")] = COLD_C + 100.0 + KELVIN_OFFSET
     none = Events(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0))
     drive = Drive("a", 0.0, ("FL", "FR", "RL", "RR"), inputs, {})
-    recording = Recording(drive, present, none, inputs)
+    recording = Recording(drive, present, Packed(none), inputs)
     part: Any = SimpleNamespace(
         speed_ms=np.ones(3),
         first=np.array([0, 10, 20]),
@@ -511,7 +511,7 @@ def test_wheels_that_follow_the_torque_late_are_learned() -> None:
     """By as much as the torque comes too early."""
     config = car()[0]
     recording = driven("idiada-step", {}, sensors="none")
-    thin = recording.thin
+    (thin,) = recording.thin.pieces(len(recording.thin))
     torque = thin.role == ROLE_INDEX["powertrain_torque"]
     time_us = np.where(torque, thin.time_us - 100_000, thin.time_us)
     order = np.argsort(time_us, kind="stable")
@@ -519,7 +519,10 @@ def test_wheels_that_follow_the_torque_late_are_learned() -> None:
 
     before, after = (
         learned_forces(config, [one])["torque lag"][0]
-        for one in (recording, replace(recording, thin=early))
+        for one in (
+            recording,
+            replace(recording, thin=Packed(early), _means={}),
+        )
     )
 
     assert after - before == pytest.approx(0.1, abs=0.03)

@@ -10,10 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bstm_daemon.analysis.gap import recording as module
 from bstm_daemon.analysis.gap.comparison import heats, with_effects
-from bstm_daemon.analysis.gap.recording import Recording, inputs_of, recorded
+from bstm_daemon.analysis.gap.recording import (
+    Packed,
+    Recording,
+    inputs_of,
+    recorded,
+)
 from bstm_daemon.bus.signals.columns import Events
 from bstm_daemon.channels import CHANNELS
 from bstm_daemon.cli.vehicle import load_vehicle
@@ -162,16 +169,14 @@ def test_temperatures_of_no_brake_begin_anew(config: Config) -> None:
         Counter(),
     )
 
-    rows, _ = inputs_of(light, dict.fromkeys(numbers, 500_000), events)
+    rows, _ = inputs_of(light, dict.fromkeys(numbers, 500_000), Packed(events))
 
     power_w = rows[..., CHANNELS.index("brake_power_w")]
     assert np.isfinite(power_w).all()
     assert power_w.max() > 5e5
 
 
-def test_pieces_of_a_log_are_one_recording(
-    config: Config, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pieces_of_a_log_are_one_recording(config: Config) -> None:
     """Few samples are kept of each piece; which ones is all the same."""
     rng = np.random.default_rng(2)
     time_us = np.sort(rng.integers(0, 60_000_000, 4000))
@@ -181,14 +186,62 @@ def test_pieces_of_a_log_are_one_recording(
     events = Events(time_us, roles, rng.random(4000), Counter())
     present = {int(role): 500_000 for role in np.unique(roles)}
     whole = recorded("a", [events], config, present)
-    monkeypatch.setattr(module, "PIECE", 333)
 
-    cut = recorded("a", module._pieces(events), config, present)
+    cut = recorded("a", Packed(events).pieces(333), config, present)
 
-    assert np.array_equal(cut.thin.time_us, whole.thin.time_us)
-    assert np.array_equal(cut.thin.value, whole.thin.value)
+    (kept,), (wanted,) = (one.thin.pieces(4000) for one in (cut, whole))
+    assert np.array_equal(kept.time_us, wanted.time_us)
+    assert np.array_equal(kept.value, wanted.value)
     assert np.array_equal(cut.drive.inputs, whole.drive.inputs, equal_nan=True)
     assert len(cut.thin) < 0.5 * len(events)
+
+
+SAMPLES = st.lists(
+    st.tuples(
+        st.integers(-(2**33), 2**33),
+        st.sampled_from(sorted(ROLE_INDEX.values())),
+        st.floats() | st.sampled_from([0.0, -0.0, 1.5]),
+    )
+)
+
+
+@given(SAMPLES, st.integers(1, 9))
+def test_packed_samples_are_the_same_bit_for_bit(
+    samples: list[tuple[int, int, float]], every: int
+) -> None:
+    """Clocks that jump, values that are none and two zeros, by pieces."""
+    stamps, roles, values = zip(*samples, strict=True) if samples else [()] * 3
+    events = Events(
+        np.array(stamps, np.int64),
+        np.array(roles, np.int32),
+        np.array(values, float),
+    )
+    packed = Packed(events)
+
+    parts = list(packed.pieces(every))
+
+    assert [len(one) for one in parts[:-1]] == [every] * len(parts[:-1])
+    for name in ("time_us", "role", "value"):
+        kept = [getattr(one, name) for one in parts]
+        wanted = getattr(events, name)
+        assert b"".join(map(np.ndarray.tobytes, kept)) == wanted.tobytes()
+    for role in (0, *roles):
+        own = events.role == role
+        time_us, value = packed.of_role(role)
+        assert time_us.tolist() == events.time_us[own].tolist()
+        assert value.tobytes() == events.value[own].tobytes()
+
+
+def test_samples_of_a_bus_take_a_third(short: Recording) -> None:
+    """Its values have 16 bits at most: 7 bytes of 20."""
+    (whole,) = short.thin.pieces(len(short.thin))
+    kept = vars(short.thin).values()
+
+    taken = sum(one.nbytes for one in kept if isinstance(one, np.ndarray))
+
+    assert len(short.thin._values) < 2**16
+    table = short.thin._values.nbytes
+    assert taken - table == 7 * len(whole)
 
 
 def test_a_trial_of_a_law_takes_its_temperature_less_often(
