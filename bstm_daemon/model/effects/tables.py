@@ -17,6 +17,16 @@ NEGLIGIBLE = 1e-6
 """Least strength; below it a part would be singular and is as good as absent.
 """
 
+LEAST_FRICTION = 0.1
+"""No law takes more than nine tenths of it away."""
+
+AIR_REFERENCE_K = 500.0
+AIR_CONDUCTIVITY = Table.from_function(
+    lambda k: (k / AIR_REFERENCE_K) ** 0.79, 220.0, 1300.0, 109
+)
+"""Conductivity of air over that at the reference; 0.026 W/mK at 300 K, 0.041
+at 500 K, 0.063 at 900 K."""
+
 RELEASED = Table(0.0, 1.0, (1.0, 0.0))
 """1 with the brake off, 0 with it on, over ``brake_on``."""
 
@@ -30,6 +40,12 @@ def rising_with_speed(still: float, rise: float) -> Factor:
     """Return a factor *still* at rest and *rise* more for each m/s."""
     ends = (still, still + FASTEST_MS * rise)
     return value("speed_ms", Table(0.0, FASTEST_MS, ends))
+
+
+def power_or_line(ratio: float, power: float, even: float) -> float:
+    """Return *ratio* to a *power*, or with *even* 1 its tangent at 1."""
+    line = max(1.0 + power * (ratio - 1.0), LEAST_FRICTION)
+    return float((1.0 - even) * ratio**power + even * line)
 
 
 SENSOR = Parameter(

@@ -30,7 +30,7 @@ def test_the_form_that_is_there_is_taken(
     config: Config, made: Callable[..., Recording]
 ) -> None:
     comparison = compare(targets_of(config, ["FL"])[0], [made({})])
-    simulated = sensed(comparison, ["clock_offset", "backplate_loss"])
+    simulated = sensed(comparison, ["clock_offset", "disc_wear"])
     basis = directions(comparison)
     (drifting,) = forms_of("clock_offset")
     for terms, form in (
@@ -48,7 +48,7 @@ def test_the_form_that_is_there_is_taken(
         assert found.strength == pytest.approx(2.0, rel=0.1)
         costs = {one.name: one.form_cost for one in known.signatures}
         assert 0.0 < costs["clock_offset"] <= np.log(2.0) + 1e-9
-        assert costs["backplate_loss"] == 0.0
+        assert costs["disc_wear"] == 0.0
     _, effects = comparison.placed(comparison.start, {"clock_offset": 2.0})
     assert effects[0].parameters == {"strength": 2.0, **drifting}
 

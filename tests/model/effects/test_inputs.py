@@ -190,6 +190,22 @@ def test_friction_over_speed_and_pressure(car: Callable[..., Config]) -> None:
         assert power(car("fb", name)) == power(car("fb"))
 
 
+def test_friction_falls_on_a_line(car: Callable[..., Config]) -> None:
+    """10 % for 10 m/s, 5 % for 1 MPa; a tenth of it is left."""
+    base = power(car("ff"))
+    for name, ratio, strength in (
+        ("friction_speed", 0.9, 1.0),
+        ("friction_pressure", 0.95, 1.0),
+        ("friction_pressure", 1.1, -2.0),
+    ):
+        there = power(car("ff", name, strength=strength, even=1.0))
+        assert there / base == pytest.approx(ratio, rel=1e-6)
+    law = effect_class("friction_speed")
+    steep = law({"strength": 5.0, "exponent": 0.3, "even": 1.0})
+    model = corner_model(car("ff"), car("ff").corner[0])
+    assert min(steep.apply(model).friction.speed) == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize(
     ("between_c", "ratio"), [(300.0, 1.0), (440.0, 0.86), (700.0, 0.72)]
 )

@@ -515,3 +515,81 @@ def test_friction_rises_with_the_seconds_of_a_stop(corner: Make) -> None:
     measured = corner("friction_in_stop", from_pressure=False).drive(9.0, 1e4)
     assert measured.nodes() == corner(None).drive(9.0, 1e4).nodes()
     assert "stop_length" not in measured.program.state_names
+
+
+def test_a_turning_disc_knocks_the_pads_back(corner: Make) -> None:
+    """Of the parked gap's conductance 40 % is left, driving."""
+    flows = []
+    for speed in (0.0, 1.0, 20.0):
+        there = corner("gap_conduction", turning_share=0.4)
+        there.warm(disc=500.0, pad_front=400.0)
+        flows.append(flow_w(there, "gap_conduction", speed_ms=speed))
+    assert flows[1:] == pytest.approx([0.4 * flows[0]] * 2, rel=0.02)
+
+
+@pytest.mark.parametrize(("exponent", "ratio"), [(0.95, 3.73), (0.0, 1.0)])
+def test_contact_grows_with_the_pressure_or_not(
+    corner: Make, exponent: float, ratio: float
+) -> None:
+    """10 W/m2K at 1 MPa, times 4^0.95 at 4 MPa; alike through debris."""
+    flows = []
+    for pressure_pa in (1e6, 4e6):
+        there = corner(
+            "contact_conductance", exponent=exponent, conductance_w_m2k=10.0
+        )
+        pads = {"disc": 500.0}
+        there.warm(**dict.fromkeys(there.nodes(), 400.0) | pads)
+        flows.append(
+            flow_w(
+                there,
+                "contact_conductance",
+                pressure_pa=pressure_pa,
+                speed_ms=0.0,
+            )
+        )
+    assert flows[0] == pytest.approx(10.0 * PADS_M2 * 100.0, rel=0.01)
+    assert flows[1] / flows[0] == pytest.approx(ratio, rel=0.01)
+
+
+def test_backplates_lose_half_by_radiation(corner: Make) -> None:
+    """0.22 W/K; of the half that radiates 4 T^3 is that of 400 K."""
+    for kelvin in (350.0, 500.0):
+        there = corner("backplate_loss", radiated_share=0.5)
+        everywhere = dict.fromkeys(there.nodes(), kelvin)
+        flows = [
+            flow_w(there.warm(**everywhere).drive(0.25), link, speed_ms=0.0)
+            for link in ("backplate_loss", "backplate_radiation")
+        ]
+        glow = (kelvin**4 - AMBIENT_K**4) / (4.0 * 400.0**3)
+        exact = [0.11 * (kelvin - AMBIENT_K), 0.11 * glow]
+        assert flows == pytest.approx(exact, rel=0.02)
+
+
+def test_hot_air_beside_the_piston_conducts_better(corner: Make) -> None:
+    """0.5 W/K at 500 K; air has 0.0303 W/mK at 350 K and 0.0407 at 500 K."""
+    for kelvin, conductivity in ((350.0, 0.0303), (500.0, 0.0407)):
+        there = corner("caliper_bypass", air_share=1.0)
+        behind = {"fluid": kelvin - 10.0}
+        there.warm(**dict.fromkeys(there.nodes(), kelvin + 10.0) | behind)
+        there.drive(0.25)
+        flow = flow_w(there, "caliper_bypass", speed_ms=0.0)
+        conductance = flow / (there["backplate"] - there["fluid"])
+        exact = 0.5 * conductivity / 0.0407
+        assert conductance == pytest.approx(exact, rel=0.04)
+
+
+@pytest.mark.parametrize("unchanged_ms", [10.0, 25.0])
+def test_convection_is_as_measured_at_its_speed(
+    corner: Make, unchanged_ms: float
+) -> None:
+    """Above it rises as v^0.18, and below it falls."""
+    for speed in (12.0, 25.0, 50.0):
+        flows = [
+            flow_w(one.warm(disc=600.0), "disc_convection", speed_ms=speed)
+            for one in (
+                corner("convection_exponent", unchanged_ms=unchanged_ms),
+                corner(None),
+            )
+        ]
+        exact = (speed / unchanged_ms) ** 0.18
+        assert flows[0] / flows[1] == pytest.approx(exact, rel=2e-3)

@@ -12,7 +12,8 @@ class ContactConductance(Effect):
     The thesis splits the heat by a constant; real surfaces also exchange
     heat, so in a long drag the share drifts with their temperatures. The
     contact conductance of pressed rough surfaces grows about as p^0.95
-    (Yovanovich); 1e3 to 1e4 W/m2K while braking.
+    (Yovanovich); 1e3 to 1e4 W/m2K while braking. A layer of wear debris
+    between them conducts alike under any pressure.
     """
 
     number = 8
@@ -23,12 +24,14 @@ class ContactConductance(Effect):
     )
     own_parameters = (
         Parameter("conductance_w_m2k", "W/m2K", 10.0, 2e4, 160.0, "at 1 MPa"),
+        Parameter("exponent", "1", 0.0, 1.0, 0.95, "of the pressure"),
     )
+    forms = ({"exponent": 0.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to pad_front."""
         rise = Table.from_function(
-            lambda p: (max(p, 0.0) / 1e6) ** 0.95, 0.0, 2e7, 401
+            lambda p: (max(p, 0.0) / 1e6) ** self["exponent"], 0.0, 2e7, 401
         )
         link = Link(
             "contact_conductance",

@@ -2,10 +2,9 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import LEAST_FRICTION
 from bstm_daemon.model.heat.friction_law import FrictionLaw
 from bstm_daemon.units import KELVIN_OFFSET
-
-LEAST = 0.1
 
 
 class FrictionFade(Effect):
@@ -36,6 +35,6 @@ class FrictionFade(Effect):
 
         def fade(t: float) -> float:
             done = min(max((t - onset_k) / self["span_k"], 0.0), 1.0)
-            return max(1.0 - fall * done, LEAST)
+            return max(1.0 - fall * done, LEAST_FRICTION)
 
         return model.with_friction_law(FrictionLaw.of(temperature_k=fade))

@@ -2,6 +2,7 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import power_or_line
 from bstm_daemon.model.heat.friction_law import FrictionLaw
 
 REFERENCE_PA = 1.0e6
@@ -11,7 +12,8 @@ LOWEST_PA = 2.5e5
 class FrictionPressure(Effect):
     """mu ~ p^(a - 1), Rhee's power law, 1 at 1 MPa.
 
-    Rhee (SAE 740415) gives F = K P^a with a from 0.80 to 1.25 by compound.
+    Rhee (SAE 740415) gives F = K P^a with a from 0.80 to 1.25 by compound;
+    other compounds fall evenly, here with the same slope at 1 MPa.
     """
 
     number = 3
@@ -22,14 +24,17 @@ class FrictionPressure(Effect):
     either_sign = True
     own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.05, "1 - a, with pressure"),
+        Parameter("even", "1", 0.0, 1.0, 0.0, "1: on a line, not a power"),
     )
+    forms = ({"even": 1.0},)
 
     def edit(self, model: CornerModel) -> CornerModel:
-        """Multiply mu by a power of the pressure."""
+        """Multiply mu by a power of the pressure, or a line in it."""
         power = -self.scaled("exponent")
-
-        def law(p: float) -> float:
-            ratio: float = (max(p, LOWEST_PA) / REFERENCE_PA) ** power
-            return ratio
-
-        return model.with_friction_law(FrictionLaw.of(pressure_pa=law))
+        return model.with_friction_law(
+            FrictionLaw.of(
+                pressure_pa=lambda p: power_or_line(
+                    max(p, LOWEST_PA) / REFERENCE_PA, power, self["even"]
+                )
+            )
+        )

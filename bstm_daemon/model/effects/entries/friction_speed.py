@@ -2,6 +2,7 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
+from bstm_daemon.model.effects.tables import power_or_line
 from bstm_daemon.model.heat.friction_law import FrictionLaw
 
 REFERENCE_MS = 10.0
@@ -11,7 +12,8 @@ SLOWEST_MS = 1.0
 class FrictionSpeed(Effect):
     """mu ~ v^b, Rhee's power law, 1 at 36 km/h.
 
-    Rhee (SAE 740415) gives b from -0.25 to +0.25 by compound.
+    Rhee (SAE 740415) gives b from -0.25 to +0.25 by compound; other compounds
+    fall evenly, here with the same slope at 36 km/h.
     """
 
     number = 2
@@ -22,14 +24,17 @@ class FrictionSpeed(Effect):
     either_sign = True
     own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.1, "-b, fall with speed"),
+        Parameter("even", "1", 0.0, 1.0, 0.0, "1: on a line, not a power"),
     )
+    forms = ({"even": 1.0},)
 
     def edit(self, model: CornerModel) -> CornerModel:
-        """Multiply mu by a power of the speed."""
+        """Multiply mu by a power of the speed, or a line in it."""
         power = -self.scaled("exponent")
-
-        def law(v: float) -> float:
-            ratio: float = (max(v, SLOWEST_MS) / REFERENCE_MS) ** power
-            return ratio
-
-        return model.with_friction_law(FrictionLaw.of(speed_ms=law))
+        return model.with_friction_law(
+            FrictionLaw.of(
+                speed_ms=lambda v: power_or_line(
+                    max(v, SLOWEST_MS) / REFERENCE_MS, power, self["even"]
+                )
+            )
+        )

@@ -2,16 +2,14 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.effects.tables import RELEASED
-from bstm_daemon.model.thermal.network import Link, Network, mean, value
-from bstm_daemon.model.thermal.table import Table
-
-REFERENCE_K = 500.0
-AIR_CONDUCTIVITY = Table.from_function(
-    lambda k: (k / REFERENCE_K) ** 0.79, 220.0, 1300.0, 109
+from bstm_daemon.model.effects.tables import (
+    AIR_CONDUCTIVITY,
+    RELEASED,
+    over_speed,
 )
-"""Conductivity of air over that at the reference; 0.026 W/mK at 300 K, 0.041
-at 500 K, 0.063 at 900 K."""
+from bstm_daemon.model.thermal.network import Link, Network, mean, value
+
+STILL_MS = 0.1
 
 
 class GapConduction(Effect):
@@ -19,7 +17,7 @@ class GapConduction(Effect):
 
     Air of 0.04 W/mK over the 0.1 to 0.5 mm that seals roll back gives 80 to
     400 W/m2K, against 20 of radiation. Hot air conducts better: T is the mean
-    of both faces.
+    of both faces. Run-out of the turning disc knocks the pads back further.
     """
 
     number = 9
@@ -33,10 +31,17 @@ class GapConduction(Effect):
         Parameter(
             "conductance_w_m2k", "W/m2K", 5.0, 1e3, 130.0, "of air at 500 K"
         ),
+        Parameter("turning_share", "1", 0.0, 1.0, 1.0, "of it, driving"),
     )
+    forms = ({"turning_share": 0.4},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to pad_front."""
+        turning = self["turning_share"]
+
+        def driven(v: float) -> float:
+            return turning if v > STILL_MS else 1.0
+
         link = Link(
             "gap_conduction",
             "disc",
@@ -44,6 +49,7 @@ class GapConduction(Effect):
             self.scaled("conductance_w_m2k") * model.spec.pads_area_m2,
             (
                 value("brake_on", RELEASED),
+                *([over_speed(driven)] if turning < 1.0 else ()),
                 mean("disc", "pad_front", AIR_CONDUCTIVITY),
             ),
         )

@@ -23,6 +23,7 @@ class PowertrainTorqueError(Effect):
         Parameter("share", "1", 0.0, 0.18, 0.08, "of the torque, missing"),
         Parameter("offset_nm", "Nm", -200.0, 200.0, 12.0, "reads too high"),
     )
+    forms = ({"offset_nm": 0.0}, {"share": 0.0})
 
     def edit_inputs(self, inputs: InputModel) -> InputModel:
         """Undo gain and offset of every sample."""

@@ -16,6 +16,7 @@ class ShimContact(Effect):
     number = 25
     description = "Released, plate and piston touch only loosely."
     signature = "Edge pad back to fluid, differs with the brake held or not."
+    most_strength = 2.8  # at the typical loss, which is below 1
     own_parameters = (
         Parameter("loss", "1", 0.0, 0.9, 0.35, "fall of the conductance"),
         Parameter(
