@@ -219,8 +219,12 @@ def fit(
         if best is None or cost < best[0]:
             best = (cost, x, a)
         columns = [
-            _strength_slope(comparison, x, names, a, i, apart)
-            for i in range(len(names))
+            _strength_slope(
+                comparison, x, _by_name(names, a), name, apart, most=most
+            )
+            for name, most in zip(
+                names, np.maximum(-lower, upper), strict=True
+            )
         ]
         whole = np.column_stack((jacobian @ basis, *columns))
         normal = whole.T @ whole
@@ -306,16 +310,16 @@ def _strength_bounds(
 def _strength_slope(
     comparison: Comparison,
     x: Column,
-    names: Sequence[str],
-    a: Column,
-    which: int,
+    strengths: Mapping[str, float],
+    name: str,
     apart: Column,
+    *,
+    most: float,
 ) -> Column:
-    moved = a.copy()
-    step = STRENGTH_STEP if a[which] >= 0.0 else -STRENGTH_STEP
-    if abs(moved[which]) > 3.0:  # its bound is not far
-        step = -step
-    moved[which] += step
-    place, effects = comparison.placed(x, _by_name(names, moved))
+    a = strengths[name]
+    step = STRENGTH_STEP if a >= 0.0 else -STRENGTH_STEP
+    if abs(a) > min(3.0, most - STRENGTH_STEP):
+        step = -step  # the bound is not far
+    place, effects = comparison.placed(x, {**strengths, name: a + step})
     there = comparison.residuals_k(place[None], effects)[:, 0]
     return comparison.whiten((there - apart) / step)

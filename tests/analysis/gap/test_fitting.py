@@ -23,7 +23,7 @@ from bstm_daemon.analysis.gap.fitting import (
 from bstm_daemon.analysis.gap.signatures import sensed
 from bstm_daemon.analysis.gap.workflow import compare
 from bstm_daemon.analysis.matching.tunables import S_SPEEDS_MS
-from bstm_daemon.model.effects.catalogue import effect_class
+from bstm_daemon.model.effects.catalogue import effect_class, effect_names
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -151,3 +151,23 @@ def test_a_strength_stays_on_the_side_of_0_where_it_began() -> None:
     assert upper.tolist() == pytest.approx(
         [largest("friction_history"), LARGEST, 0.0, 0.0], abs=0.02
     )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name in effect_names()
+        if effect_class(name).most_strength < LARGEST
+    ],
+)
+def test_a_strength_is_fitted_up_to_where_physics_ends(
+    name: str, made: Callable[..., Recording], target: Target
+) -> None:
+    """A drive with all of it that there can be: no trial goes beyond."""
+    most = effect_class(name).most_strength
+    comparison = compare(target, [made({name: most})])
+
+    found = fit(comparison, {name: most}).strengths[name]
+
+    assert 0.8 * most < found <= most
