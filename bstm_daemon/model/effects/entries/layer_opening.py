@@ -24,6 +24,7 @@ class LayerOpening(Effect):
     description = "Layers of the shim open when hot and conduct less."
     signature = "Edge pad back to fluid, beyond a temperature, or after it."
     twins = ("shim_contact",)
+    most_strength = 2.4  # at the typical loss, which is below 1
     own_parameters = (
         Parameter("loss", "1", 0.0, 0.9, 0.4, "of the conductance"),
         Parameter("onset_c", "degC", 60.0, 300.0, 110.0, "begins to open"),
