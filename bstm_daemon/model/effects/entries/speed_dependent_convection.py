@@ -10,8 +10,8 @@ class SpeedDependentConvection(Effect):
     """A conductance ``v^n`` beside a cooling coefficient without speed.
 
     For a baseline whose S is one number: discs of road cars lose 1 to 1.5
-    W/K more for each m/s. Nu ~ Re^0.8 in turbulent, Re^0.55 in laminar flow
-    (Limpert).
+    W/K more for each m/s. Nu ~ Re^0.8 over a face in turbulent flow; vanes pump
+    air in proportion to their turns (Limpert).
     """
 
     number = 38
@@ -22,7 +22,7 @@ class SpeedDependentConvection(Effect):
         Parameter("conductance_w_k", "W/K", 0.1, 300.0, 12.0, "at 10 m/s"),
         Parameter("exponent", "1", 0.3, 1.2, 0.8, "of the speed"),
     )
-    forms = ({"exponent": 0.55},)
+    forms = ({"exponent": 1.0},)
 
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to air."""
