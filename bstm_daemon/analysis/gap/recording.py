@@ -58,7 +58,7 @@ MOST_BYTES: Final = 1 << 25
 class Packed:
     """Samples in file order, kept bit for bit in a third of the memory.
 
-    A bus says few different values: each is kept once.
+    A bus sends few different values: each is kept once.
     """
 
     def __init__(self, events: Events) -> None:

@@ -12,8 +12,8 @@ LOWEST_PA = 2.5e5
 class FrictionPressure(Effect):
     """mu ~ p^(a - 1), Rhee's power law, 1 at 1 MPa.
 
-    Rhee (SAE 740415) gives F = K P^a with a from 0.80 to 1.25 by compound;
-    other compounds fall evenly, here with the same slope at 1 MPa.
+    Rhee (SAE 740415) gives F = K P^a with a from 0.80 to 1.25 by compound.
+    The second form is a line of the same slope at 1 MPa.
     """
 
     number = 3

@@ -12,8 +12,8 @@ SLOWEST_MS = 1.0
 class FrictionSpeed(Effect):
     """mu ~ v^b, Rhee's power law, 1 at 36 km/h.
 
-    Rhee (SAE 740415) gives b from -0.25 to +0.25 by compound; other compounds
-    fall evenly, here with the same slope at 36 km/h.
+    Rhee (SAE 740415) gives b from -0.25 to +0.25 by compound. The second
+    form is a line of the same slope at 36 km/h.
     """
 
     number = 2
