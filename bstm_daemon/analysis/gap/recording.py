@@ -126,6 +126,7 @@ class Recording:
     these. Both axles and the forces ask for the same trials."""
 
     _means: dict[int, Column | None] = field(default_factory=dict, repr=False)
+    """By role: its means over the steps. Every trial asks for the same."""
 
     @property
     def name(self) -> str:

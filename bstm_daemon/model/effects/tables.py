@@ -42,10 +42,10 @@ def rising_with_speed(still: float, rise: float) -> Factor:
     return value("speed_ms", Table(0.0, FASTEST_MS, ends))
 
 
-def power_or_line(ratio: float, power: float, even: float) -> float:
-    """Return *ratio* to a *power*, or with *even* 1 its tangent at 1."""
+def power_or_line(ratio: float, power: float, linear: float) -> float:
+    """Return *ratio* to a *power*, or with *linear* 1 its tangent at 1."""
     line = max(1.0 + power * (ratio - 1.0), LEAST_FRICTION)
-    return float((1.0 - even) * ratio**power + even * line)
+    return float((1.0 - linear) * ratio**power + linear * line)
 
 
 SENSOR = Parameter(

@@ -214,3 +214,13 @@ def test_heat_of_the_hub_comes_to_the_bracket_by_the_knuckle(
         assert other.factors == own.factors
     net = apply_effects(plain, [entry("hub_heat")]).network
     assert net.sources[-1].name == "hub_heat"
+
+
+@pytest.mark.parametrize(
+    "name", ["cooling_band", "layer_opening", "shim_contact"]
+)
+def test_a_loss_ends_where_nothing_is_left(name: str) -> None:
+    """Of the typical loss as much as there is, and no more than that."""
+    loss = effect_class(name)({"strength": effect_class(name).most_strength})
+
+    assert 0.85 < loss.scaled("loss") <= 1.0

@@ -198,10 +198,10 @@ def test_friction_falls_on_a_line(car: Callable[..., Config]) -> None:
         ("friction_pressure", 0.95, 1.0),
         ("friction_pressure", 1.1, -2.0),
     ):
-        there = power(car("ff", name, strength=strength, even=1.0))
+        there = power(car("ff", name, strength=strength, linear=1.0))
         assert there / base == pytest.approx(ratio, rel=1e-6)
     law = effect_class("friction_speed")
-    steep = law({"strength": 5.0, "exponent": 0.3, "even": 1.0})
+    steep = law({"strength": 5.0, "exponent": 0.3, "linear": 1.0})
     model = corner_model(car("ff"), car("ff").corner[0])
     assert min(steep.apply(model).friction.speed) == pytest.approx(0.1)
 

@@ -24,9 +24,9 @@ class FrictionPressure(Effect):
     either_sign = True
     own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.05, "1 - a, with pressure"),
-        Parameter("even", "1", 0.0, 1.0, 0.0, "1: on a line, not a power"),
+        Parameter("linear", "1", 0.0, 1.0, 0.0, "1: on a line, not a power"),
     )
-    forms = ({"even": 1.0},)
+    forms = ({"linear": 1.0},)
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a power of the pressure, or a line in it."""
@@ -34,7 +34,7 @@ class FrictionPressure(Effect):
         return model.with_friction_law(
             FrictionLaw.of(
                 pressure_pa=lambda p: power_or_line(
-                    max(p, LOWEST_PA) / REFERENCE_PA, power, self["even"]
+                    max(p, LOWEST_PA) / REFERENCE_PA, power, self["linear"]
                 )
             )
         )

@@ -24,9 +24,9 @@ class FrictionSpeed(Effect):
     either_sign = True
     own_parameters = (
         Parameter("exponent", "1", 0.0, 0.3, 0.1, "-b, fall with speed"),
-        Parameter("even", "1", 0.0, 1.0, 0.0, "1: on a line, not a power"),
+        Parameter("linear", "1", 0.0, 1.0, 0.0, "1: on a line, not a power"),
     )
-    forms = ({"even": 1.0},)
+    forms = ({"linear": 1.0},)
 
     def edit(self, model: CornerModel) -> CornerModel:
         """Multiply mu by a power of the speed, or a line in it."""
@@ -34,7 +34,7 @@ class FrictionSpeed(Effect):
         return model.with_friction_law(
             FrictionLaw.of(
                 speed_ms=lambda v: power_or_line(
-                    max(v, SLOWEST_MS) / REFERENCE_MS, power, self["even"]
+                    max(v, SLOWEST_MS) / REFERENCE_MS, power, self["linear"]
                 )
             )
         )

@@ -2,14 +2,11 @@
 
 from bstm_daemon.model.effects.effect import Effect
 from bstm_daemon.model.effects.model import CornerModel, Parameter
-from bstm_daemon.model.effects.tables import (
-    AIR_CONDUCTIVITY,
-    RELEASED,
-    over_speed,
-)
+from bstm_daemon.model.effects.tables import AIR_CONDUCTIVITY, RELEASED
 from bstm_daemon.model.thermal.network import Link, Network, mean, value
+from bstm_daemon.model.thermal.table import Table
 
-STILL_MS = 0.1
+TURNING_MS = 0.25
 
 
 class GapConduction(Effect):
@@ -38,10 +35,7 @@ class GapConduction(Effect):
     def edit_network(self, model: CornerModel) -> Network:
         """Add the link disc to pad_front."""
         turning = self["turning_share"]
-
-        def driven(v: float) -> float:
-            return turning if v > STILL_MS else 1.0
-
+        driven = Table(0.0, TURNING_MS, (1.0, turning))
         link = Link(
             "gap_conduction",
             "disc",
@@ -49,7 +43,7 @@ class GapConduction(Effect):
             self.scaled("conductance_w_m2k") * model.spec.pads_area_m2,
             (
                 value("brake_on", RELEASED),
-                *([over_speed(driven)] if turning < 1.0 else ()),
+                *([value("speed_ms", driven)] if turning < 1.0 else ()),
                 mean("disc", "pad_front", AIR_CONDUCTIVITY),
             ),
         )

@@ -10,8 +10,9 @@ class SpeedDependentConvection(Effect):
     """A conductance ``v^n`` beside a cooling coefficient without speed.
 
     For a baseline whose S is one number: discs of road cars lose 1 to 1.5
-    W/K more for each m/s. Nu ~ Re^0.8 over a face in turbulent flow; vanes
-    pump air in proportion to their turns (Limpert).
+    W/K more for each m/s. Nu ~ Re^0.8 in turbulent flow (Limpert); between
+    vanes 27, 53 and 78 W/m2K were measured at 342, 684 and 1025 rpm, a line
+    (McPhee and Johnson, Int. J. Thermal Sciences 47, 2008).
     """
 
     number = 38
